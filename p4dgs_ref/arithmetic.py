@@ -50,14 +50,17 @@ def keep_pages():
 
 def has_avx2():
     """Whether Linux says that the processor has AVX2 and FMA."""
-    if sys.platform != "linux":
-        return False
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            flags = next((line for line in file if line.startswith("flags")), "")
-    except OSError:
-        return False
+    flags = next((line for line in lines_of("/proc/cpuinfo") if line.startswith("flags")), "")
     return {"avx2", "fma"} <= set(flags.split())
+
+
+def lines_of(path):
+    """The lines of a file of Linux; none on another system."""
+    try:
+        with open(path, encoding="utf-8", errors="surrogateescape") as file:
+            return [*file] if sys.platform == "linux" else []
+    except OSError:
+        return []
 
 
 def choose_kernels():
@@ -90,21 +93,17 @@ def kernels():
 
 def openblas():
     """The name of its kernels and the number of threads of each OpenBLAS that is loaded."""
-    try:
-        with open("/proc/self/maps", encoding="utf-8", errors="surrogateescape") as file:
-            paths = {line.split(maxsplit=5)[-1].strip() for line in file}
-    except OSError:
-        return []  # another system
-    found = []
-    named = sorted(path for path in paths if "openblas" in os.path.basename(path))
-    for library in map(ctypes.CDLL, named):
+    paths = {line.split(maxsplit=5)[-1].strip() for line in lines_of("/proc/self/maps")}
+    libraries = sorted(path for path in paths if "openblas" in os.path.basename(path))
+    answers = []
+    for library in map(ctypes.CDLL, libraries):
         for form in ("openblas_{}", "openblas_{}64_", "scipy_openblas_{}", "scipy_openblas_{}64_"):
             name = getattr(library, form.format("get_corename"), None)
             if name:
                 name.restype = ctypes.c_char_p
                 threads = getattr(library, form.format("get_num_threads"))
-                found.append((name().decode(), threads()))
-    return found
+                answers.append((name().decode(), threads()))
+    return answers
 
 
 def arithmetic():

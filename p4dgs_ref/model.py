@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from . import effects as fx
+from .attributes import ATTRIBUTES, GROUPS
 from .equations import (
     color,
     deformation,
-    deformation_d3dgs,
     deformed,
     hash_grid,
     masking,
@@ -35,11 +35,11 @@ from .splatting.settings import FAST, Settings
 ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
 CONTEXT_NETWORKS = ("psi_p", "psi_q")
 LATTICE = 2**16 - 1  # positions have 16 bits per axis over the bounding box (Q14)
-MOST_NUMBERS = 2**25  # of a model: a file may not declare more
-GROUPS = ("f", "s", "l", "O")  # attribute groups in coding order, one step q each (Q6)
+MAX_NUMBERS = 2**25  # of a model: a file may not declare more
 
 
-class Design(NamedTuple):
+@dataclass(frozen=True)
+class Design:
     """What a decoder must know besides the arrays: numbers and names, stored as JSON in a file."""
 
     d: int  # width of an anchor's feature
@@ -55,17 +55,11 @@ class Design(NamedTuple):
     Q_0: tuple  # base steps of f, s, l, O
     tau_alpha: float
     effects: tuple
-    # D3DGS's reading of psi_d (Q1), a preset option; both are absent from a header that has neither
-    time_net: tuple = ()  # hidden widths of psi_t, then the width of its output
-    skip: bool = False  # whether psi_d's layer after the middle takes its inputs once more
-    # The coded design, which goes beyond the paper: a file of version 2 (codec/container.py)
-    coded: bool = False
-    position_bits: int = 16  # per axis; fewer only in the coded design
 
     @property
     def widths(self):
         """Coded numbers per anchor in each group: f, s, l, O."""
-        return self.d, 3, 3, 3 * self.k
+        return tuple(row.width(self) for row in ATTRIBUTES)
 
     def levels(self):
         """The shape (T, F) of every level of the hash grid."""
@@ -87,31 +81,11 @@ class Design(NamedTuple):
         }
         layers = {name: list(zip(w[:-1], w[1:])) for name, w in widths.items()}
         if fx.moves(self.effects):
-            layers |= deformation_layers(
-                self.L_x,
-                self.L_t,
-                self.deformation,
-                fx.heads(self.effects),
-                self.time_net,
-                self.skip,
-            )
+            E = 3 * (1 + 2 * self.L_x) + 1 + 2 * self.L_t
+            trunk = [*zip((E, *self.deformation), self.deformation)]
+            last = (E, *self.deformation)[-1]
+            layers["psi_d"] = trunk + [(last, head) for head in fx.heads(self.effects)]
         return layers
-
-
-def deformation_layers(L_x, L_t, widths, heads, time_net=(), skip=False):
-    """The shapes of psi_d, which ends with its heads, and of psi_t where there is a time net."""
-    time = (1 + 2 * L_t, *time_net)
-    inputs = 3 * (1 + 2 * L_x) + time[-1]
-    trunk = [*zip((inputs, *widths), widths)]
-    if skip:
-        after = len(trunk) // 2 + 1
-        rows, columns = trunk[after]
-        trunk[after] = inputs + rows, columns
-    last = widths[-1] if widths else inputs
-    layers = {"psi_d": trunk + [(last, head) for head in heads]}
-    if time_net:
-        layers["psi_t"] = [*zip(time[:-1], time[1:])]
-    return layers
 
 
 def declared_numbers(design, anchors):
@@ -124,15 +98,11 @@ def declared_numbers(design, anchors):
     }
 
 
-class Anchors(NamedTuple):
-    """The attributes of every anchor, as linear values (Q5), and which children are kept (Q15)."""
-
-    x_a: np.ndarray  # [A, 3]  positions
-    f_a: np.ndarray  # [A, d]  features
-    s_a: np.ndarray  # [A, 3]  scales
-    l_a: np.ndarray  # [A, 3]  offset scaling
-    O_a: np.ndarray  # [A, k, 3]  offsets
-    mask: np.ndarray  # [A, k]  bool
+# The attributes of every anchor, as linear values (Q5): positions x_a [A, 3], those of ATTRIBUTES
+# with a row per anchor, and which children are kept, mask [A, k] bool (Q15).
+Anchors = NamedTuple(
+    "Anchors", [(name, np.ndarray) for name in ("x_a", *(row.name for row in ATTRIBUTES), "mask")]
+)
 
 
 class Gaussians(NamedTuple):
@@ -146,39 +116,57 @@ class Gaussians(NamedTuple):
     index: np.ndarray  # [N]  a k + i for child i of anchor a
 
 
-def pull(equation, *inputs):
+def with_backward(equation, *inputs):
     """The output of an equation's `forward`, and its `backward` bound to what that saved."""
     output, saved = equation.forward(*inputs)
     return output, partial(equation.backward, saved)
 
 
-def beside(f, s, l, O):
-    """f [A, d], s and l [A, 3], O [A, k, 3] side by side: [A, d + 3 + 3 + 3k]."""
-    return np.concatenate([f, s, l, O.reshape(len(O), -1)], axis=1)
+def concatenate_groups(*attributes):
+    """The attributes [A, ...] of ATTRIBUTES side by side: [A, n], n = d + 3 + 3 + 3k."""
+    return np.concatenate([values.reshape(len(values), -1) for values in attributes], axis=1)
 
 
 def join(anchors):
-    """The coded attributes of every anchor side by side."""
-    return beside(anchors.f_a, anchors.s_a, anchors.l_a, anchors.O_a)
+    """The coded attributes of every anchor side by side [A, n]."""
+    return concatenate_groups(*(getattr(anchors, row.name) for row in ATTRIBUTES))
 
 
 def groups(values, design):
-    """The columns of f [A, d], s [A, 3], l [A, 3] and O [A, 3k], as views."""
-    s, l, O = design.d, design.d + 3, design.d + 6  # where the columns of each group begin
-    return values[:, :s], values[:, s:l], values[:, l:O], values[:, O:]
+    """The columns [A, width] of each group in values [A, n], as views."""
+    return np.split(values, np.cumsum(design.widths)[:-1], axis=1)
 
 
 def split(values, design):
-    """The inverse of `beside`: f [A, d], s [A, 3], l [A, 3] and O [A, k, 3], as views."""
-    f, s, l, O = groups(values, design)
-    return f, s, l, O.reshape(len(O), design.k, 3)
+    """The inverse of `concatenate_groups`: f [A, d], s, l [A, 3] and O [A, k, 3], as views."""
+    parts = zip(groups(values, design), ATTRIBUTES)
+    return [part.reshape(len(part), *row.sizes(design)) for part, row in parts]
 
 
-def predict(design, networks, anchors, x_c, t=None):
+def move(design, networks, x, s, r, t):
+    """Temporal prediction: canonical Gaussians at time t (Eqs. 5 and 6).
+
+    Return (x_t, s_t, r_t) and `back`, which gives the gradients of x, s, r and of the networks.
+    No gradient flows from E(x) back into x (Q10).
+    """
+    deltas, back_deltas = with_backward(
+        deformation, x, t, *networks["psi_d"], design.L_x, design.L_t
+    )
+    at_t, back_at_t = with_backward(deformed, x, s, r, *deltas)
+
+    def back(x_t_bar, s_t_bar, r_t_bar):
+        bars = back_at_t(x_t_bar, s_t_bar, r_t_bar)
+        psi_d_bar = back_deltas(bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False)
+        return bars["x"], bars["s"], bars["r"], {"psi_d": psi_d_bar}
+
+    return at_t, back
+
+
+def predict(design, networks, anchors, x_c, t=None, move=move):
     """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
 
     `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
-    Gaussians are the canonical ones. Return
+    Gaussians are the canonical ones; `move` is what happens to them in time. Return
 
         the Gaussians at time t as the camera at x_c [3] sees them
         the opacities [A, k] of all children before masking, for density control
@@ -189,16 +177,18 @@ def predict(design, networks, anchors, x_c, t=None):
     unseen = f_a[:, :0], f_a[:, :0]
     seen, back_view = unseen, None
     if "view_color" in effects or "view_geometry" in effects:
-        seen, back_view = pull(view, anchors.x_a, x_c)
+        seen, back_view = with_backward(view, anchors.x_a, x_c)
     for_color = seen if "view_color" in effects else unseen
     for_geometry = seen if "view_geometry" in effects else unseen
 
-    alpha, back_alpha = pull(opacity, f_a, *for_geometry, *networks["psi_alpha"])
-    c, back_c = pull(color, f_a, *for_color, *networks["psi_c"])
-    r, back_r = pull(rotation, f_a, *for_geometry, *networks["psi_r"])
-    s, back_s = pull(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
-    x, back_x = pull(offsets, anchors.x_a, anchors.O_a, anchors.l_a)
-    kept, back_kept = pull(masking, alpha, anchors.mask, design.tau_alpha, x, c, s, r)
+    # All children [A, k, ...]:
+    alpha, back_alpha = with_backward(opacity, f_a, *for_geometry, *networks["psi_alpha"])
+    c, back_c = with_backward(color, f_a, *for_color, *networks["psi_c"])
+    r, back_r = with_backward(rotation, f_a, *for_geometry, *networks["psi_r"])
+    s, back_s = with_backward(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
+    x, back_x = with_backward(offsets, anchors.x_a, anchors.O_a, anchors.l_a)
+    # From here on the kept ones alone, N of A k, in one list [N, ...]; `index` says which they are:
+    kept, back_kept = with_backward(masking, alpha, anchors.mask, design.tau_alpha, x, c, s, r)
     alpha_kept, x, c, s, r, index = kept
     back_move = None
     if t is not None and "psi_d" in networks:
@@ -208,7 +198,7 @@ def predict(design, networks, anchors, x_c, t=None):
         networks_bar = {}
         if back_move:
             x_bar, s_bar, r_bar, networks_bar = back_move(x_bar, s_bar, r_bar)
-        children = back_kept(alpha_bar, x_bar, color_bar, s_bar, r_bar)
+        children = back_kept(alpha_bar, x_bar, color_bar, s_bar, r_bar)  # [N, ...] -> [A, k, ...]
         placed = back_x(children["x"])
         psi_s, psi_r = back_s(children["s"]), back_r(children["r"])
         psi_c, psi_alpha = back_c(children["color"]), back_alpha(children["alpha"])
@@ -219,34 +209,11 @@ def predict(design, networks, anchors, x_c, t=None):
             seeing = [psi for psi in predicted.values() if psi["d_vc"].shape[1]]
             delta_vc_bar = sum(psi["delta_vc"] for psi in seeing)
             x_a_bar = x_a_bar + back_view(delta_vc_bar, sum(psi["d_vc"] for psi in seeing))["x_a"]
-        own = {"f_a": f_a_bar, "s_a": psi_s["s_a"], "l_a": placed["l_a"], "O_a": placed["O_a"]}
-        return {"x_a": x_a_bar, **own}, {**networks_bar, **predicted}
+        attributes_bar = {"f_a": f_a_bar, "s_a": psi_s["s_a"], "l_a": placed["l_a"]}
+        attributes_bar |= {"x_a": x_a_bar, "O_a": placed["O_a"]}
+        return attributes_bar, {**networks_bar, **predicted}
 
     return Gaussians(x, s, r, alpha_kept, c, index), alpha, back
-
-
-def move(design, networks, x, s, r, t):
-    """Temporal prediction: canonical Gaussians at time t (Eqs. 5 and 6).
-
-    Return (x_t, s_t, r_t) and `back`, which gives the gradients of x, s, r and of the networks.
-    No gradient flows from E(x) back into x (Q10).
-    """
-    psi_d, psi_t = deformation, ()
-    if design.time_net or design.skip:
-        psi_d, psi_t = deformation_d3dgs, networks.get("psi_t", ([], []))
-    deltas, back_deltas = pull(psi_d, x, t, *networks["psi_d"], *psi_t, design.L_x, design.L_t)
-    at_t, back_at_t = pull(deformed, x, s, r, *deltas)
-
-    def back(x_t_bar, s_t_bar, r_t_bar):
-        bars = back_at_t(x_t_bar, s_t_bar, r_t_bar)
-        psi_d_bar = back_deltas(bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False)
-        networks_bar = {"psi_d": psi_d_bar}
-        if psi_d_bar.get("time_weights"):
-            time_bar = psi_d_bar["time_weights"], psi_d_bar["time_biases"]
-            networks_bar["psi_t"] = dict(zip(("weights", "biases"), time_bar))
-        return bars["x"], bars["s"], bars["r"], networks_bar
-
-    return at_t, back
 
 
 def bounding_box(x_a):
@@ -254,53 +221,24 @@ def bounding_box(x_a):
     return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
 
 
-def snap(x_a, lo, hi, bits=16):
-    """Round positions [A, 3] to the box's lattice of `bits` bits per axis (Q14).
+def snap(x_a, lo, hi):
+    """Round positions [A, 3] to the box's lattice (Q14).
 
-    Return the symbols of 16 bits (int64) and the positions that they stand for (float64).
+    Return its symbols, integers from 0 to 65535, and the positions (float64) that they stand for.
     """
-    lo, extent = lo.astype(float), hi.astype(float) - lo
-    share = (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1)
-    symbols = on_lattice(np.rint(share * ((1 << bits) - 1)).astype(np.int64), bits)
+    symbols = np.rint(share_of(x_a, lo, hi) * LATTICE).astype(np.int64)
     return symbols, unsnap(symbols, lo, hi)
 
 
-def on_lattice(m, bits):
-    """The symbols of 16 bits of coordinates m on a lattice of `bits` bits, rounded to nearest."""
-    most = (1 << bits) - 1
-    return (m * LATTICE + most // 2) // most
+def share_of(x_a, lo, hi):
+    """Positions [A, 3] as shares of the box, from 0 at lo to 1 at hi; 0 where lo = hi."""
+    lo, extent = lo.astype(float), hi.astype(float) - lo
+    return (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1)
 
 
 def unsnap(symbols, lo, hi):
     """Positions (float64) of lattice symbols [A, 3], integers from 0 to 65535."""
     return lo.astype(float) + symbols * ((hi.astype(float) - lo) / LATTICE)
-
-
-def step_code(step):
-    """The codes of the steps for weights (B1) that are nearest to some positive numbers: int64."""
-    mantissa, exponent = np.frexp(np.clip(step, step_of_code(0), step_of_code(255)))
-    return 16 * (exponent + 14) + np.rint(32 * mantissa).astype(np.int64) - 16
-
-
-def step_of_code(code):
-    """The steps of codes 0 to 255: (16 + code mod 16) 2^(floor(code / 16) - 19), 2^-15 to 1.94.
-
-    The product of a step and an integer up to 2^19 is exact, also in float32.
-    """
-    return np.ldexp(16.0 + code % 16, code // 16 - 19)
-
-
-def first_steps(networks):
-    """Codes of steps that nobody has learned, for the weights and the biases of every layer.
-
-    A tenth of the root mean square of the weights, and half of that for the biases, as
-    {network: (codes, codes)}.
-    """
-    steps = {}
-    for name, (weights, _) in networks.items():
-        rms = np.sqrt([np.sum(W.astype(float) ** 2) / max(W.size, 1) for W in weights])
-        steps[name] = step_code(0.1 * rms), step_code(0.05 * rms)
-    return steps
 
 
 class Context(NamedTuple):
@@ -319,8 +257,8 @@ def context(design, networks, grids, located):
     networks "psi_q" and "psi_p".
     """
     h, saved_h = hash_grid.query(located, grids)
-    q, back_q = pull(step, h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
-    (mu, sigma), back_prior = pull(prior, h, *networks["psi_p"], design.widths)
+    q, back_q = with_backward(step, h, *networks["psi_q"], np.array(design.Q_0, h.dtype))
+    (mu, sigma), back_prior = with_backward(prior, h, *networks["psi_p"], design.widths)
 
     def back(q_bar, mu_bar, sigma_bar):
         psi_q, psi_p = back_q(q_bar), back_prior(mu_bar, sigma_bar)
@@ -340,8 +278,6 @@ class Model:
     grids: list[np.ndarray]  # [T, F] for each level; only the signs are used
     box: tuple[np.ndarray, np.ndarray]  # corners lo and hi [3] of the lattice of positions
     background: np.ndarray  # [3]
-    # Only of the coded design: codes of the steps of all weights and biases, layer by layer (B1)
-    steps: dict[str, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
     def primitives(self) -> int:

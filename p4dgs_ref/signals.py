@@ -4,8 +4,8 @@ import signal
 import threading
 from contextlib import contextmanager
 
-NUMBERS = (signal.SIGINT, signal.SIGTERM)
-AGAIN = 0.02  # seconds after which a signal that came too early is sent again
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+RESEND_SECONDS = 0.02  # after which a signal that came too early is sent again
 
 
 def interrupt(number, frame):
@@ -17,7 +17,7 @@ def interrupt(number, frame):
     while frame:
         code = frame.f_code
         if code.co_filename.startswith("<frozen importlib") or code.co_name == "__del__":
-            threading.Timer(AGAIN, signal.raise_signal, [number]).start()
+            threading.Timer(RESEND_SECONDS, signal.raise_signal, [number]).start()
             return
         frame = frame.f_back
     raise KeyboardInterrupt
@@ -33,7 +33,7 @@ def handled(handler):
     Nothing is changed in other threads, or where a signal is ignored or has a handler already.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
-    before = {number: signal.getsignal(number) for number in NUMBERS if in_main_thread}
+    before = {number: signal.getsignal(number) for number in SIGNALS if in_main_thread}
     ours = {number: old for number, old in before.items() if old in ENDING}
     for number in ours:
         signal.signal(number, handler)

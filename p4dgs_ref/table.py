@@ -275,24 +275,13 @@ _ROWS = (
 )
 
 EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
-# What goes beyond the paper; the number begins with B.
-BEYOND = {
-    "weight_bits": Equation(
-        "weight_bits",
-        "B1",
-        "bits = -log2 P(w / step - 1/2 < K < w / step + 1/2), K Laplace of scale b",
-        "p4dgs_ref.equations.weight_bits",
-        ("bits",),
-        ("w", "step"),
-    )
-}
 
 
-def table(equations=EQUATIONS):
+def to_markdown(equations=EQUATIONS):
     """The table as Markdown, as tutorials/reference.md shows it."""
+    # A bare bar in a formula would end its column.
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
     for eq in equations.values():
-        file = eq.module.replace(".", "/") + ".py"
-        formula = eq.formula.replace("|", "\\|")  # a bare bar would end the column
-        lines.append(f"| {eq.number} | `{eq.key}` | `{file}` | `{formula}` |")
+        file, formula = eq.module.replace(".", "/"), eq.formula.replace("|", "\\|")
+        lines.append(f"| {eq.number} | `{eq.key}` | `{file}.py` | `{formula}` |")
     return "\n".join(lines)

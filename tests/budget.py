@@ -17,8 +17,11 @@ from tests import ROOT
 PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
-    **dict.fromkeys(("splatting", "table", "model", "effects"), "splatting, model"),
-    **dict.fromkeys(("cli", "signals", "arithmetic", "__init__", "__main__"), "cli, root"),
+    **dict.fromkeys(("splatting", "table", "model", "attributes", "effects"), "splatting, model"),
+    "output": "scenes",
+    **dict.fromkeys(
+        ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"
+    ),
 }
 
 

@@ -51,7 +51,7 @@ def trained():
     """
     from types import SimpleNamespace
 
-    from p4dgs_ref.training.fit import fit
+    from p4dgs_ref.designs import fit
 
     scene, stages = p4dgs_ref.load_scene("bouncing"), (20, 30, 60, 100)
     trainer = fit(scene, "smoke", 0, anchors=60, stage_ends=stages)

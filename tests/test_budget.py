@@ -37,13 +37,18 @@ ORDER = (
     "equations",
     "splatting",
     "table",
+    "attributes",
     "effects",
     "model",
+    "output",
     "scenes",
     "training",
     "codec",
+    "beyond",
+    "designs",
     "report",
     "oracle",
+    "lessons",
     "lab",
     "cli",
     "__main__",
@@ -157,12 +162,42 @@ def test_only_commands_and_tests_know_the_laboratory():
     assert knowing <= {"cli"}
 
 
+def test_only_its_commands_and_tests_know_the_classroom():
+    files = [*PACKAGE_FILES, *TUTORIALS, *(ROOT / "tests" / "oracle").rglob("*.py")]
+    knowing = {
+        name_of(file)
+        for file in files
+        if any(name.startswith("p4dgs_ref.lab.classroom") for name in imported(file))
+    }
+    assert {name for name in knowing if "/classroom/" not in name} == {"p4dgs_ref/cli/lab.py"}
+
+
+def test_the_package_knows_no_module_of_the_tutorials():
+    """Not even by a name that `import_module` would read."""
+    strings = {
+        (name_of(file), node.value)
+        for file in PACKAGE_FILES
+        for node in ast.walk(parse(file))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert not {pair for pair in strings if re.match(r"tutorials(\.\w+)*$", pair[1])} - {
+        ("p4dgs_ref/lessons.py", "tutorials")  # the folder
+    }
+
+
 @pytest.mark.slow
-def test_the_main_job_loads_nothing_of_the_laboratory(tmp_path):
+@pytest.mark.parametrize(
+    "line",
+    [
+        "run(['train', 'static', '--preset', 'smoke', '--quiet', '-o', sys.argv[1]], 0)",
+        "p4.main_job(p4.load_scene('static'), folder=sys.argv[1], stage_ends=(1,2,3,4))",
+    ],
+)
+def test_the_main_job_loads_nothing_of_the_laboratory(line, tmp_path):
     program = (
-        "import sys; import p4dgs_ref as p4; "
-        "p4.main_job(p4.load_scene('static'), folder=sys.argv[1], stage_ends=(1,2,3,4)); "
-        "print([name for name in sys.modules if name.startswith('p4dgs_ref.lab')])"
+        "import sys; import p4dgs_ref as p4; from p4dgs_ref.cli.parser import run; "
+        f"{line}; rooms = ('p4dgs_ref.lab', 'p4dgs_ref.lessons', 'p4dgs_ref.oracle'); "
+        "print([name for name in sys.modules if name.startswith(rooms)])"
     )
     done = processes.run("-c", program, str(tmp_path / "report"))
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.scenes import output
-from p4dgs_ref.scenes.output import (
+from p4dgs_ref import output
+from p4dgs_ref.output import (
     OutputError,
     filled,
     locked,
@@ -40,9 +40,9 @@ def write_file(path):
 
 
 def write_folder(path):
-    with filled(path.parent) as beside:
-        (beside / "a first file").write_bytes(b"new")
-        (beside / path.name).write_bytes(b"new")
+    with filled(path.parent) as staging:
+        (staging / "a first file").write_bytes(b"new")
+        (staging / path.name).write_bytes(b"new")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -38,7 +38,7 @@ def test_source_distribution_is_whole(tmp_path):
         archive.extractall(tmp_path / "unpacked")
     unpacked = next((tmp_path / "unpacked").iterdir())
     assert files(unpacked) == files(source)
-    names = ["tests/equations/test_numerics.py", "tests/lab/school/test_lessons.py"]
+    names = ["tests/equations/test_numerics.py", "tests/test_lessons.py"]
     run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *names]
     result = subprocess.run(run, cwd=unpacked, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout

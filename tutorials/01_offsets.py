@@ -10,9 +10,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("01_offsets")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("01_offsets")
 rng = np.random.default_rng(1)
 
 # %% [markdown]
@@ -124,7 +127,7 @@ assert gradients["l_a"][0, 0] == 6
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
 # %%
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lessons import close, inner, moved, random_like
 
 A, k = 5, 4
 inputs = {
@@ -232,9 +235,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("01.1", answer_1)
-lessons.forward("01.2", my_forward, "offsets")
-lessons.backward("01.3", my_backward, "offsets")
+lessons.check_number("01.1", answer_1)
+lessons.check_forward("01.2", my_forward, "offsets")
+lessons.check_backward("01.3", my_backward, "offsets")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("02_view")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("02_view")
 rng = np.random.default_rng(2)
 
 # %% [markdown]
@@ -44,7 +47,7 @@ print("distance", distance, "direction", direction.round(4))
 
 # %%
 from p4dgs_ref.equations import mlp, view
-from p4dgs_ref.lab.school.lessons import close, inner
+from p4dgs_ref.lessons import close, inner
 
 (delta_vc, d_vc), saved = view.forward(x_a[None], x_c)
 assert delta_vc.shape == (1, 1)
@@ -378,9 +381,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("02.1", answer_1)
-lessons.forward("02.2", my_forward, "view")
-lessons.backward("02.3", my_backward, "view")
+lessons.check_number("02.1", answer_1)
+lessons.check_forward("02.2", my_forward, "view")
+lessons.check_backward("02.3", my_backward, "view")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("03_opacity_and_masking")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("03_opacity_and_masking")
 rng = np.random.default_rng(1103)
 
 # %% [markdown]
@@ -60,7 +63,7 @@ print("hidden units", hidden, "| psi", psi, "| alpha", np.tanh(psi).round(4))
 
 # %%
 from p4dgs_ref.equations import masking, mlp, opacity, view
-from p4dgs_ref.lab.school.lessons import close, inner, random_like
+from p4dgs_ref.lessons import close, inner, random_like
 
 alpha, saved = opacity.forward(f_a, delta_vc, d_vc, [W_0, W_1], [b_0, b_1])
 assert close(alpha, [np.tanh(psi)])
@@ -400,10 +403,10 @@ def my_masking_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("03.1", answer_1)
-lessons.forward("03.2", my_opacity, "opacity")
-lessons.backward("03.3", my_mlp_backward, "mlp")
-lessons.backward("03.4", my_masking_backward, "masking")
+lessons.check_number("03.1", answer_1)
+lessons.check_forward("03.2", my_opacity, "opacity")
+lessons.check_backward("03.3", my_mlp_backward, "mlp")
+lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
 # ## Check your port

@@ -14,9 +14,12 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("04_color_rotation_scale")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("04_color_rotation_scale")
 rng = np.random.default_rng(4)
 
 # %% [markdown]
@@ -55,7 +58,7 @@ print("sigmoid", share, "| scale", s_a * share, "| rotation", raw / 5)
 
 # %%
 from p4dgs_ref.equations import anchor_network, color, rotation, scale
-from p4dgs_ref.lab.school.lessons import close, inner
+from p4dgs_ref.lessons import close, inner
 
 no_view = [np.zeros((1, 0)), np.zeros((1, 0))]  # the feature is the whole input
 two_children = np.concatenate([psi, psi[::-1]])[None]
@@ -462,10 +465,10 @@ def my_scale_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("04.1", answer_1)
-lessons.forward("04.2", my_color, "color")
-lessons.backward("04.3", my_rotation_backward, "rotation")
-lessons.backward("04.4", my_scale_backward, "scale")
+lessons.check_number("04.1", answer_1)
+lessons.check_forward("04.2", my_color, "color")
+lessons.check_backward("04.3", my_rotation_backward, "rotation")
+lessons.check_backward("04.4", my_scale_backward, "scale")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("05_positional_encoding_and_deformation")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("05_positional_encoding_and_deformation")
 rng = np.random.default_rng(5)
 
 # %% [markdown]
@@ -36,7 +39,7 @@ rng = np.random.default_rng(5)
 
 # %%
 from p4dgs_ref.equations import deformation, deformed, mlp, positional_encoding
-from p4dgs_ref.lab.school.lessons import close, inner, random_like
+from p4dgs_ref.lessons import close, inner, random_like
 
 quarter = np.array([[np.pi / 2]])
 E, _ = positional_encoding.forward(quarter, 2)
@@ -444,9 +447,9 @@ def my_deformation(x, t, weights, biases, L_x, L_t):
     raise NotImplementedError
 
 
-lessons.number("05.1", answer_1)
-lessons.backward("05.2", my_encoding_backward, "positional_encoding")
-lessons.forward("05.3", my_deformation, "deformation")
+lessons.check_number("05.1", answer_1)
+lessons.check_backward("05.2", my_encoding_backward, "positional_encoding")
+lessons.check_forward("05.3", my_deformation, "deformation")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@
 import numpy as np
 from matplotlib.patches import Ellipse
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("06_deformed")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("06_deformed")
 rng = np.random.default_rng(6)
 
 # %% [markdown]
@@ -50,7 +53,7 @@ print("x'", x + delta_x, "| s'", s + delta_s, "| r'", (r + delta_r) / 5)
 
 # %%
 from p4dgs_ref.equations import deformed, numerics
-from p4dgs_ref.lab.school.lessons import close, random_like
+from p4dgs_ref.lessons import close, random_like
 from p4dgs_ref.splatting import covariance
 
 (x_t, s_t, r_t), saved = deformed.forward(x, s, r, delta_x, delta_s, delta_r)
@@ -320,9 +323,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("06.1", answer_1)
-lessons.forward("06.2", my_deformed, "deformed")
-lessons.backward("06.3", my_backward, "deformed")
+lessons.check_number("06.1", answer_1)
+lessons.check_forward("06.2", my_deformed, "deformed")
+lessons.check_backward("06.3", my_backward, "deformed")
 
 # %% [markdown]
 # ## Check your port

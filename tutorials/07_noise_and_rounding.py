@@ -12,9 +12,12 @@
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("07_noise_and_rounding")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("07_noise_and_rounding")
 rng = np.random.default_rng(7)
 
 # %% [markdown]
@@ -42,7 +45,7 @@ rng = np.random.default_rng(7)
 
 # %%
 from p4dgs_ref.equations import noise, rounding
-from p4dgs_ref.lab.school.lessons import close, inner
+from p4dgs_ref.lessons import close, inner
 
 draws = np.array([[-0.5, 0.25]])
 noisy, noise_saved = noise.forward(np.array([[1.0, 2.0]]), draws, np.array([[0.2]]))
@@ -407,9 +410,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("07.1", answer_1)
-lessons.forward("07.2", my_rounding, "rounding")
-lessons.backward("07.3", my_backward, "noise")
+lessons.check_number("07.1", answer_1)
+lessons.check_forward("07.2", my_rounding, "rounding")
+lessons.check_backward("07.3", my_backward, "noise")
 
 # %% [markdown]
 # ## Check your port

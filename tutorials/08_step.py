@@ -15,9 +15,12 @@ from functools import partial
 import numpy as np
 from scipy.special import expit as sigmoid
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("08_step")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("08_step")
 rng = np.random.default_rng(8)
 
 # %% [markdown]
@@ -39,7 +42,7 @@ rng = np.random.default_rng(8)
 # $$1+\tanh u = \frac{2e^u}{e^u+e^{-u}} = \frac{2}{1+e^{-2u}} = 2\,\mathrm{sigmoid}(2u)$$
 
 # %%
-from p4dgs_ref.lab.school.lessons import close
+from p4dgs_ref.lessons import close
 
 for u in (0, 0.5, -2):
     print(f"u = {u}: printed form {1 + np.tanh(u):.4f}, sigmoid form {2 * sigmoid(2 * u):.4f}")
@@ -353,9 +356,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("08.1", answer_1)
-lessons.forward("08.2", my_forward, "step")
-lessons.backward("08.3", my_backward, "step")
+lessons.check_number("08.1", answer_1)
+lessons.check_forward("08.2", my_forward, "step")
+lessons.check_backward("08.3", my_backward, "step")
 
 # %% [markdown]
 # ## Check your port

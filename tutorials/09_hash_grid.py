@@ -12,9 +12,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("09_hash_grid")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("09_hash_grid")
 rng = np.random.default_rng(9)
 
 # %% [markdown]
@@ -77,7 +80,7 @@ assert grid_nodes.entries(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 ent
 # then the product of this matrix and the signs. Each row adds up to 1, so $|h| \le 1$.
 
 # %%
-from p4dgs_ref.lab.school.lessons import close, moved
+from p4dgs_ref.lessons import close, moved
 
 A, F = 40, 2
 x_a = rng.uniform(-1, 1, (A, 3))
@@ -371,9 +374,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("09.1", answer_1)
-lessons.forward("09.2", my_row, "hash_index")
-lessons.backward("09.3", my_backward, "hash_grid")
+lessons.check_number("09.1", answer_1)
+lessons.check_forward("09.2", my_row, "hash_index")
+lessons.check_backward("09.3", my_backward, "hash_grid")
 
 # %% [markdown]
 # ## Check your port

@@ -15,9 +15,12 @@ import math
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("10_prior_and_likelihood")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
 # %% [markdown]
@@ -104,7 +107,7 @@ lessons.show(figure, "10_areas")
 # %%
 from p4dgs_ref.equations import likelihood, mlp, prior
 from p4dgs_ref.lab.random_inputs import random_network
-from p4dgs_ref.lab.school.lessons import close, inner, moved
+from p4dgs_ref.lessons import close, inner, moved
 
 A, width, widths = 6, 5, (2, 3, 3, 3)
 n = sum(widths)
@@ -479,9 +482,9 @@ def my_likelihood_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("10.1", answer_1, case["out.log_p"][near], digits=9)
-lessons.backward("10.2", my_prior_backward, "prior")
-lessons.backward("10.3", my_likelihood_backward, "likelihood")
+lessons.check_number("10.1", answer_1, case["out.log_p"][near], digits=9)
+lessons.check_backward("10.2", my_prior_backward, "prior")
+lessons.check_backward("10.3", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
 # ## Check your port
@@ -508,8 +511,7 @@ lessons.passes("likelihood", "prior")
 # $2056$ numbers in `context_mlps`, about $98$ bytes. You have succeeded if you need fewer than
 # $4298$ bytes.
 #
-# To begin, call `codec.file.quantised_of(codec.container.open_container(data), 2)` of the package.
-# It returns the `symbols [199, 34]`, and `kept` says which of them the file contains. In units of
-# its step, every bin has the width $1$. First try a Gaussian for each column. Then find out which
-# columns are not Gaussian and which ones predict each other. What happens to both sums with ten
-# times as many anchors?
+# To begin, call `designs.quantised_of(data)` of the package. It returns the `symbols [199, 34]`,
+# and `kept` says which of them the file contains. In units of its step, every bin has the width
+# $1$. First try a Gaussian for each column. Then find out which columns are not Gaussian and which
+# ones predict each other. What happens to both sums with ten times as many anchors?

@@ -13,9 +13,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("11_rate")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("11_rate")
 rng = np.random.default_rng(11)
 
 # %% [markdown]
@@ -46,7 +49,7 @@ print(f"{by_hand:.3f} bits")
 
 # %%
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
-from p4dgs_ref.lab.school.lessons import close, inner, moved, random_like
+from p4dgs_ref.lessons import close, inner, moved, random_like
 
 A, k, d = 5, 4, 7
 bits = {
@@ -324,9 +327,9 @@ def my_rate(R_anchor, R_hash, n_parameters):
     raise NotImplementedError
 
 
-lessons.backward("11.1", my_anchor_backward, "anchor_rate")
-lessons.backward("11.2", my_hash_backward, "hash_rate")
-lessons.forward("11.3", my_rate, "rate_loss")
+lessons.check_backward("11.1", my_anchor_backward, "anchor_rate")
+lessons.check_backward("11.2", my_hash_backward, "hash_rate")
+lessons.check_forward("11.3", my_rate, "rate_loss")
 
 # %% [markdown]
 # ## Check your port

@@ -15,9 +15,12 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("12_losses")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("12_losses")
 rng = np.random.default_rng(12)
 
 # %% [markdown]
@@ -58,7 +61,7 @@ print(f"SSIM {second_factor:.4f}, rendering loss {0.8 * 0.1 + 0.2 * (1 - second_
 # %%
 from p4dgs_ref import load_scene
 from p4dgs_ref.equations import render_loss, ssim, total_loss, window
-from p4dgs_ref.lab.school.lessons import close, inner
+from p4dgs_ref.lessons import close, inner
 
 photo = load_scene("bouncing").test[0].image[12:62, 4:58]
 truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1
@@ -397,9 +400,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("12.1", answer_1)
-lessons.forward("12.2", my_forward, "render_loss")
-lessons.backward("12.3", my_backward, "ssim")
+lessons.check_number("12.1", answer_1)
+lessons.check_forward("12.2", my_forward, "render_loss")
+lessons.check_backward("12.3", my_backward, "ssim")
 
 # %% [markdown]
 # ## Check your port

@@ -10,9 +10,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("13_covariance")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("13_covariance")
 rng = np.random.default_rng(13)
 turn = np.linspace(0, 2 * np.pi, 90)
 circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into ellipses
@@ -44,7 +47,7 @@ circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into elli
 
 
 # %%
-from p4dgs_ref.lab.school.lessons import close
+from p4dgs_ref.lessons import close
 
 
 def flat_rotation(w, z):
@@ -449,9 +452,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("13.1", answer_1)
-lessons.forward("13.2", my_forward, "covariance")
-lessons.backward("13.3", my_backward, "covariance")
+lessons.check_number("13.1", answer_1)
+lessons.check_forward("13.2", my_forward, "covariance")
+lessons.check_backward("13.3", my_backward, "covariance")
 
 # %% [markdown]
 # ## Check your port

@@ -12,9 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("14_projection")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("14_projection")
 rng = np.random.default_rng(14)
 inner = lessons.inner
 h = 1e-6
@@ -47,7 +50,7 @@ h = 1e-6
 # pixels. The conic is the inverse, 0.049 per square pixel.
 
 # %%
-from p4dgs_ref.lab.school.lessons import close
+from p4dgs_ref.lessons import close
 
 f, c = 80, 31.5
 
@@ -583,9 +586,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("14.1", answer_1)
-lessons.forward("14.2", my_forward, "projection")
-lessons.backward("14.3", my_backward, "projection")
+lessons.check_number("14.1", answer_1)
+lessons.check_forward("14.2", my_forward, "projection")
+lessons.check_backward("14.3", my_backward, "projection")
 
 # %% [markdown]
 # ## Check your port

@@ -11,9 +11,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("15_compositing")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("15_compositing")
 rng = np.random.default_rng(15)
 h = 1e-6  # step of finite differences
 
@@ -582,9 +585,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("15.1", answer_1)
-lessons.forward("15.2", my_forward, "compositing")
-lessons.backward("15.3", my_backward, "compositing")
+lessons.check_number("15.1", answer_1)
+lessons.check_forward("15.2", my_forward, "compositing")
+lessons.check_backward("15.3", my_backward, "compositing")
 
 # %% [markdown]
 # ## Check your port

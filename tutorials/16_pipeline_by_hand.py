@@ -14,9 +14,12 @@ import math
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("16_pipeline_by_hand")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("16_pipeline_by_hand")
 
 
 def say(name, values):
@@ -426,7 +429,7 @@ for i, level in enumerate(levels):
 parameters = Parameters(flat, np.float64)
 truth = image.copy()
 truth[p[1], p[0]] = gray
-fixed = objective.Fixed(
+inputs = objective.StepInputs(
     mask,
     located,
     background,
@@ -440,7 +443,7 @@ losses = objective.loss(
     design,
     networks,
     levels,
-    fixed,
+    inputs,
     View("", truth, None, camera, t),
     np.zeros((1, 14)),
 )[0]
@@ -650,9 +653,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("16.1", answer_1)
-lessons.forward("16.2", my_forward, "spatial_prediction")
-lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
+lessons.check_number("16.1", answer_1)
+lessons.check_forward("16.2", my_forward, "spatial_prediction")
+lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
 
 # %% [markdown]
 # ## Check your port

@@ -14,9 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("17_four_stages")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("17_four_stages")
 
 # %% [markdown]
 # ## Claim
@@ -108,16 +111,15 @@ for end in ends:
     if trainer.stage == 4:
         trainer.freeze_positions()  # otherwise the first step of stage 4 does it
     stage = trainer.stage
-    # psi_t is the time net of D3DGS, which `tiny` does not have
-    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES if stem != "psi_t"}
+    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES}
     before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
     for step in range(end - trainer.iteration):
-        losses, seen, view = trainer.step()
-        history.append((trainer.iteration, psnr(seen.image, view.image), losses.L_rate))
+        losses, rendered, view = trainer.step()
+        history.append((trainer.iteration, psnr(rendered.image, view.image), losses.L_rate))
         # We look after two steps, because in the very first one all offsets are 0, and so is
         # the gradient of log_l.
         if step == 1:
-            on = trainer.fixed()._replace(mask=trainer.mask.copy())
+            on = trainer.step_inputs(view)._replace(mask=trainer.mask.copy())
             exact_copy = Parameters(trainer.parameters.arrays, np.float64)
             saved.append((stage, exact_copy, on))
             moved.append(arrays_that_moved(before))
@@ -417,9 +419,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("17.1", answer_1)
-lessons.number("17.2", answer_2)
-lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
+lessons.check_number("17.1", answer_1)
+lessons.check_number("17.2", answer_2)
+lessons.check_backward("17.3", my_backward, "rate_stage", "noisy", "q")
 
 # %% [markdown]
 # ## Check your port
@@ -434,7 +436,7 @@ from p4dgs_ref.model import Context
 
 
 def port(noisy, mu, sigma, q, mask, grids, d, k):
-    widths = trainer.design._replace(d=d, k=k)
+    widths = replace(trainer.design, d=d, k=k)
     return objective.rate(noisy, Context(q, mu, sigma), grids, mask, widths)[0]
 
 

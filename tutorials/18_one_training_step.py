@@ -12,9 +12,12 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("18_one_training_step")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("18_one_training_step")
 
 # %% [markdown]
 # ## Claim
@@ -75,8 +78,8 @@ while trainer.iteration < 360:
 assert trainer.stage == 4
 
 design = trainer.design
-fixed = trainer.fixed()._replace(settings=SETTINGS["exact"])
 view = trainer.next_view()
+inputs = trainer.step_inputs(view)._replace(settings=SETTINGS["exact"])
 truth = view.image.astype(float)
 p = Parameters(trainer.parameters.arrays, np.float64)
 networks = {name: p.network(name) for name in design.layers()}
@@ -101,7 +104,7 @@ def note(name, array):
 
 
 values = objective.linear_values(p)
-ctx, _ = context(design, networks, grids, fixed.located)
+ctx, _ = context(design, networks, grids, inputs.located)
 noisy_groups = []
 for i, (part, draw) in enumerate(zip(groups(values, design), groups(u, design))):
     f_noisy, _ = noise.forward(part, draw, ctx.q[:, i : i + 1])
@@ -126,19 +129,19 @@ f, s, l, O = split(noisy, design)
 
 def gaussians():
     """The Gaussians at the view's time, all opacities, and `back` from cotangents to anchors."""
-    anchors = Anchors(p["x_a"], f, s, l, O, fixed.mask)
+    anchors = Anchors(p["x_a"], f, s, l, O, inputs.mask)
     return predict(design, networks, anchors, view.camera.center, view.time)
 
 
 def rendered(g):
-    return render.forward(*g[:5], view.camera, fixed.background, fixed.settings)
+    return render.forward(*g[:5], view.camera, inputs.background, inputs.settings)
 
 
 g, _, back_g = gaussians()
 (image, *_), saved_r = rendered(g)
-(L_render, L1, D_SSIM), saved_l = render_loss.forward(image, truth, fixed.lambda_ssim)
-(bits, L_rate), back_rate = objective.rate(noisy, ctx, grids, fixed.mask, design)
-L_total, _ = total_loss.forward(L_render, L_rate, fixed.lambda_rate)
+(L_render, L1, D_SSIM), saved_l = render_loss.forward(image, truth, inputs.lambda_ssim)
+(bits, L_rate), back_rate = objective.rate(noisy, ctx, grids, inputs.mask, design)
+L_total, _ = total_loss.forward(L_render, L_rate, inputs.lambda_rate)
 for name in ("x", "s", "r", "alpha", "color"):
     note(name, getattr(g, name))
 note("image", image)
@@ -149,7 +152,7 @@ note("bits", bits)
 note("L_rate", L_rate)
 note("L_total", L_total)
 
-losses, _, back = objective.loss(p, design, networks, grids, fixed, view, u)
+losses, _, back = objective.loss(p, design, networks, grids, inputs, view, u)
 assert np.isclose(losses.L_total, L_total, rtol=1e-12)
 assert np.isclose(losses.bits, bits, rtol=1e-12)
 print(f"{'array':16s}{'shape':>16s}{'mean':>12s}{'deviation':>12s}")
@@ -165,8 +168,8 @@ for name, shape, mean, deviation in table:
 
 # %%
 image_bar = render_loss.backward(saved_l, 1.0)["image"]
-of_l1 = render_loss.backward(saved_l, 0.0, L1_bar=1 - fixed.lambda_ssim)["image"]
-by_hand = (1 - fixed.lambda_ssim) * np.sign(image - truth) / truth.size
+of_l1 = render_loss.backward(saved_l, 0.0, L1_bar=1 - inputs.lambda_ssim)["image"]
+by_hand = (1 - inputs.lambda_ssim) * np.sign(image - truth) / truth.size
 assert np.allclose(of_l1, by_hand, rtol=1e-12)
 assert not np.allclose(image_bar, of_l1)
 
@@ -187,7 +190,7 @@ def feature_bar(cotangent):
 
 
 of_picture = feature_bar(image_bar)
-noisy_bar = back_rate(fixed.lambda_rate)[0]
+noisy_bar = back_rate(inputs.lambda_rate)[0]
 of_bits = groups(noisy_bar, design)[0]
 gradients, _ = back()
 assert np.allclose(gradients["f_a"], of_picture + of_bits, rtol=1e-9, atol=1e-15)
@@ -275,7 +278,7 @@ before = p["f_a"][a, j]
 # All arrays of a network, such as psi_c.W0 and psi_c.b0, have the rate of the network.
 adam.step(p, gradients, lambda name: trainer.rate_of(name.split(".")[0]))
 move = p["f_a"][a, j] - before
-after = objective.loss(p, design, networks, grids, fixed, view, u)[0].L_total
+after = objective.loss(p, design, networks, grids, inputs, view, u)[0].L_total
 p.vector[:] = origin
 assert (BETA_1, BETA_2) == (0.9, 0.999)
 assert np.isclose(sum(parts.values()), move, rtol=1e-6)
@@ -333,7 +336,7 @@ wrong = right / np.exp(p["log_s"])
 
 def loss_after(step):
     p["log_s"][...] += step
-    losses = objective.loss(p, design, networks, grids, fixed, view, u)[0]
+    losses = objective.loss(p, design, networks, grids, inputs, view, u)[0]
     p["log_s"][...] -= step
     return losses.L_total
 
@@ -393,9 +396,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("18.1", answer_1)
-lessons.number("18.2", answer_2)
-lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
+lessons.check_number("18.1", answer_1)
+lessons.check_number("18.2", answer_2)
+lessons.check_backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
 
 # %% [markdown]
 # ## Check your port

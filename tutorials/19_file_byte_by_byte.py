@@ -18,9 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("19_file_byte_by_byte")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("19_file_byte_by_byte")
 
 # %% [markdown]
 # ## Claim
@@ -253,7 +256,7 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.report import inspect
 
 golden = (oracle.path() / "model.p4dgs").read_bytes()
-trained = quantised_of(container.open_container(golden))
+trained = quantised_of(container.read_container(golden))
 anchors = trained.model.anchors
 prior = inspect.float_context(trained.model)
 d = trained.model.design.d
@@ -411,9 +414,9 @@ def grade_container(mine):
 assert grade_container(container.read_container) == [24, 14]
 with suppress(NotImplementedError):
     answer_3 = grade_container(my_container)
-lessons.number("19.1", answer_1)
-lessons.number("19.2", answer_2, digits=15)
-lessons.number("19.3", answer_3, [24, 14])
+lessons.check_number("19.1", answer_1)
+lessons.check_number("19.2", answer_2, digits=15)
+lessons.check_number("19.3", answer_3, [24, 14])
 
 # %% [markdown]
 # ## Check your port
@@ -428,9 +431,9 @@ lessons.number("19.3", answer_3, [24, 14])
 # ## An open project
 # **Code the positions better.** Version 1 takes 6 bytes for a position. Version 2 rounds
 # coordinates to fewer bits and sorts the anchors along a curve, so that only gaps are coded
-# ([version_2.py](../p4dgs_ref/codec/version_2.py)). `p4dgs-ref inspect tutorials/demo.p4dgs` prints
-# the baseline: 615 bytes for 199 anchors with 10 bits a coordinate. Of these, 25 are the box and
-# one parameter, and 590 are the gaps, 23.7 bits for each anchor.
+# ([positions.py](../p4dgs_ref/beyond/positions.py)). `p4dgs-ref inspect tutorials/demo.p4dgs`
+# prints the baseline: 615 bytes for 199 anchors with 10 bits a coordinate. Of these, 25 are the box
+# and one parameter, and 590 are the gaps, 23.7 bits for each anchor.
 #
 # Write an encoder and a decoder, and count all bytes, those of tables too. The decoder must return
 # exactly the same points; their order is free, because the other sections can follow it. Fewer than
@@ -440,5 +443,5 @@ lessons.number("19.3", answer_3, [24, 14])
 # Sorting has nothing left to give: to name 199 of $2^{30}$ places takes
 # $\log_2\binom{2^{30}}{199} = 4732$ bits, or 592 bytes, if every choice is equally likely. But
 # anchors stand in groups and on surfaces. You could halve the box along each axis, again and again,
-# code which of the eight parts are empty, and predict this from the parts around them. In
-# `p4dgs_ref.codec`, `file.quantised_of` returns the points and `version_2.codes_of` their codes.
+# code which of the eight parts are empty, and predict this from the parts around them.
+# `p4dgs_ref.designs.quantised_of` returns the points, `beyond.positions.codes_of` their codes.

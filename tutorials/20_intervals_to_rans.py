@@ -20,9 +20,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("20_intervals_to_rans")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("20_intervals_to_rans")
 
 # %% [markdown]
 # ## Claim
@@ -105,7 +108,7 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import gaussian_model
 
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-model = quantised_of(container.open_container(data))
+model = quantised_of(container.read_container(data))
 
 symbols = model.symbols[7, :6]
 tables = gaussian_model(model.context.mu_units[7, :6], model.context.sigma_units[7, :6])
@@ -458,9 +461,9 @@ with suppress(NotImplementedError):
     answer_2 = np.frombuffer(my_encode(bits.astype(int), bit_keys), np.uint8)
 with suppress(NotImplementedError):
     answer_3 = my_decode(grid[4:], len(signs), sign_keys)
-lessons.number("20.1", answer_1)
-lessons.number("20.2", answer_2, np.frombuffer(masks[4:], np.uint8))
-lessons.number("20.3", answer_3, signs)
+lessons.check_number("20.1", answer_1)
+lessons.check_number("20.2", answer_2, np.frombuffer(masks[4:], np.uint8))
+lessons.check_number("20.3", answer_3, signs)
 
 # %% [markdown]
 # ## Check your port

@@ -17,9 +17,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("22_five_questions_about_bits")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("22_five_questions_about_bits")
 rng = np.random.default_rng(22)
 
 
@@ -84,7 +87,7 @@ from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.report import inspect
 
 data = (oracle.path() / "model.p4dgs").read_bytes()  # a trained model of 60 anchors
-quantised = quantised_of(container.open_container(data))
+quantised = quantised_of(container.read_container(data))
 model = quantised.model
 design = model.design
 kept = quantised.kept
@@ -464,9 +467,9 @@ def my_rate_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("22.1", answer_1)
-lessons.forward("22.2", my_rate, "rate_stage")
-lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
+lessons.check_number("22.1", answer_1)
+lessons.check_forward("22.2", my_rate, "rate_stage")
+lessons.check_backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
 
 # %% [markdown]
 # ## Check your port

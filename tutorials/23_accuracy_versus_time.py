@@ -15,9 +15,12 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("23_accuracy_versus_time")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("23_accuracy_versus_time")
 
 
 def phi(x):
@@ -201,7 +204,7 @@ for domain, limits in {"to 3 σ": forms.USUAL, "everywhere": forms.DOMAIN}.items
     for name, formula in formulas.FORMULAS.items():
         choices[domain, name] = formula, limits
 for entries in formulas.TABLES:
-    choices["tables", f"{entries}/σ"] = formulas.table(entries), forms.USUAL
+    choices["tables", f"{entries}/σ"] = formulas.lookup_table(entries), forms.USUAL
 rows = measure_forms(forms.priced(choices, quick=True), 3)
 priced = {(row["line"], row["value"]): row for row in rows}
 for (domain, name), row in priced.items():
@@ -429,9 +432,9 @@ choices = np.array(
     ]
 )
 need = 1e-6
-lessons.number("23.1", answer_1)
-lessons.number("23.2", answer_2)
-lessons.forward("23.3", my_bin, "gaussian_bin")
+lessons.check_number("23.1", answer_1)
+lessons.check_number("23.2", answer_2)
+lessons.check_forward("23.3", my_bin, "gaussian_bin")
 
 # %% [markdown]
 # ## Check your port

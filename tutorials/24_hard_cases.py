@@ -16,9 +16,12 @@ from fractions import Fraction
 import numpy as np
 from scipy.special import expit, ndtr
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("24_hard_cases")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("24_hard_cases")
 EPS_32 = float(np.finfo(np.float32).eps)
 EPS_64 = float(np.finfo(np.float64).eps)
 
@@ -101,7 +104,7 @@ shown = (
 rows = []
 for id in shown:
     rows += stability.rows(id)
-print(stability.describe(rows))
+print(stability.to_text(rows))
 assert len(rows) == 2 * len(shown)
 assert all(row["verdict"] == "ok" for row in rows)
 
@@ -428,9 +431,9 @@ def my_quaternion_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("24.1", answer_1)
-lessons.forward("24.2", my_hash_rate, "hash_rate")
-lessons.backward("24.3", my_quaternion_backward, "unit_quaternion")
+lessons.check_number("24.1", answer_1)
+lessons.check_forward("24.2", my_hash_rate, "hash_rate")
+lessons.check_backward("24.3", my_quaternion_backward, "unit_quaternion")
 
 # %% [markdown]
 # ## Check your port

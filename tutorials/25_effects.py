@@ -14,9 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("25_effects")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("25_effects")
 
 # %% [markdown]
 # ## Claim
@@ -96,7 +99,7 @@ assert [2 * parameters_of_psi_d(effects) for effects in lists] == [107540, 10483
 
 # %%
 import p4dgs_ref as p4
-from p4dgs_ref.lab.effect_ledger import counted, describe, ledger
+from p4dgs_ref.lab.effect_ledger import counted, ledger, to_text
 from p4dgs_ref.training.trainer import Trainer
 
 scenes = {name: p4.load_scene(name) for name in ("static", "bouncing")}
@@ -144,7 +147,7 @@ without_motion = [effect for effect in full.design.effects if effect not in fx.M
 other_networks = {name: net for name, net in full.networks.items() if name != "psi_d"}
 absent = replace(
     full,
-    design=full.design._replace(effects=tuple(without_motion)),
+    design=replace(full.design, effects=tuple(without_motion)),
     networks=other_networks,
 )
 camera = scenes["bouncing"].test[0].camera
@@ -262,7 +265,7 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 
 # %%
 rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 100, 150))
-print(describe(rows))
+print(to_text(rows))
 ledger_of = {row["effect"]: row for row in rows}
 for row in rows:
     assert row["work_off"] == row["bytes_off"] == 0 < row["work_on"]
@@ -374,9 +377,9 @@ def my_color_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("25.1", answer_1)
-lessons.forward("25.2", my_motion, "temporal_prediction")
-lessons.backward("25.3", my_color_backward, "color")
+lessons.check_number("25.1", answer_1)
+lessons.check_forward("25.2", my_motion, "temporal_prediction")
+lessons.check_backward("25.3", my_color_backward, "color")
 
 # %% [markdown]
 # ## Check your port

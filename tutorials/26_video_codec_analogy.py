@@ -14,9 +14,12 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("26_video_codec_analogy")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("26_video_codec_analogy")
 
 # %% [markdown]
 # ## Claim
@@ -76,7 +79,7 @@ for t, frame in enumerate(video):
 import p4dgs_ref as p4
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
 
 file = packaged_folder() / "bouncing" / "scene.json"
@@ -84,7 +87,7 @@ description = json.loads(file.read_text(encoding="utf-8"))
 description["resolution"] = [32, 32]
 description["lens"] = {"fl_x": 42.8, "fl_y": 42.8, "cx": 16, "cy": 16}
 description["cameras"].update(train=12, test=3)
-drawing = describe(description)
+drawing = read_description(description)
 cameras, is_test = [], []
 for split in ("train", "test"):
     for camera, _ in place_cameras(drawing, split):
@@ -120,7 +123,7 @@ def scene_of(moments, moves):
 
 # %%
 from p4dgs_ref.lab.accuracy.harness import reduced
-from p4dgs_ref.report.evaluate import decibel, evaluate, squared_error
+from p4dgs_ref.report.evaluate import evaluate, psnr
 from p4dgs_ref.training.trainer import Trainer
 
 sizes = dict(
@@ -142,7 +145,7 @@ def build(scene):
     return p4.decode(data), data
 
 
-def psnr(model, scene):
+def mean_psnr(model, scene):
     return evaluate(model, scene)[0]["psnr_db"]
 
 
@@ -152,9 +155,9 @@ inter, inter_data = build(scene_of(times, moves=True))
 intra_bytes = [len(data) for _, data in intra]
 inter_bytes = len(inter_data)
 quality = {
-    "intra": [psnr(model, frame) for (model, _), frame in zip(intra, frames)],
-    "inter": [psnr(inter, scene_of([t], moves=True)) for t in times],
-    "repeat frame 0": [psnr(intra[0][0], frame) for frame in frames],
+    "intra": [mean_psnr(model, frame) for (model, _), frame in zip(intra, frames)],
+    "inter": [mean_psnr(inter, scene_of([t], moves=True)) for t in times],
+    "repeat frame 0": [mean_psnr(intra[0][0], frame) for frame in frames],
 }
 for name, db in quality.items():
     print(f"{name:14s} PSNR {np.round(db, 2)}, mean {np.mean(db):.2f} dB")
@@ -295,7 +298,7 @@ for line, (name, images) in zip(axes, shown.items()):
             grid=False,
         )
         panel.set_xlabel(
-            f"t = {t:.2f}" if name == "truth" else f"{decibel(squared_error(image, truth)):.1f} dB",
+            f"t = {t:.2f}" if name == "truth" else f"{psnr(image, truth):.1f} dB",
             fontsize=14,
         )
     line[0].set_ylabel(name, fontsize=16)
@@ -453,9 +456,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("26.1", answer_1)
-lessons.number("26.2", answer_2)
-lessons.backward("26.3", my_backward, "deformation")
+lessons.check_number("26.1", answer_1)
+lessons.check_number("26.2", answer_2)
+lessons.check_backward("26.3", my_backward, "deformation")
 
 # %% [markdown]
 # ## Check your port

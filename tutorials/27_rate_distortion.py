@@ -13,9 +13,12 @@ import copy
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("27_rate_distortion")
+plt = lessons.begin()
+from tutorials.tools import architecture, shared
+
+architecture.show("27_rate_distortion")
 
 # %% [markdown]
 # ## Claim
@@ -71,7 +74,7 @@ changes = dict(
     lr_p=(0.05, 0.005),
 )
 start = Trainer(scene, choose("tiny", changes), seed=0)
-arrays, state = lessons.at_stage_4(start, decode(lessons.demo()))
+arrays, state = lessons.at_stage_4(start, decode((shared.FOLDER / "demo.p4dgs").read_bytes()))
 
 
 def branch(price):
@@ -176,7 +179,7 @@ for view in (scene.test[2], scene.test[5]):
         assert blue > 1.2 * max(red, green), (m["price"], red, green, blue)
 
 # %%
-from p4dgs_ref.lab.school import show
+from tutorials.tools import show
 
 figure, (drawn, wrong) = plt.subplots(2, 5, figsize=(12, 5.2), layout="constrained")
 for ax, below, m in zip(drawn, wrong, points):
@@ -327,9 +330,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.number("27.1", answer_1)
-lessons.number("27.2", answer_2)
-lessons.backward("27.3", my_backward, "rate_loss")
+lessons.check_number("27.1", answer_1)
+lessons.check_number("27.2", answer_2)
+lessons.check_backward("27.3", my_backward, "rate_loss")
 
 # %% [markdown]
 # ## Check your port

@@ -8,7 +8,7 @@
 # two cores, 60 minutes of reading and 35 of exercises.
 #
 # **Files:** [deformation.py](../p4dgs_ref/equations/deformation.py),
-# [deformation_d3dgs.py](../p4dgs_ref/equations/deformation_d3dgs.py),
+# [deformation_d3dgs.py](../p4dgs_ref/lab/baselines/deformation_d3dgs.py),
 # [plane_features.py](../p4dgs_ref/lab/baselines/plane_features.py),
 # [plane_decoder.py](../p4dgs_ref/lab/baselines/plane_decoder.py),
 # [conditional.py](../p4dgs_ref/lab/baselines/conditional.py),
@@ -20,9 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("28_four_ways_to_move")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("28_four_ways_to_move")
 
 # %% [markdown]
 # ## Claim
@@ -105,7 +108,8 @@ assert int(position) == 2 and np.isclose(position - 2, 0.4)
 
 # %%
 from p4dgs_ref.equations import deformation, mlp, positional_encoding
-from p4dgs_ref.model import declared_numbers, deformation_layers
+from p4dgs_ref.lab.baselines.d3dgs_network import deformation_layers
+from p4dgs_ref.model import declared_numbers
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential, random_layers
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 
@@ -306,7 +310,7 @@ for (top, below), (name, way) in zip(rows.T, fitted.items()):
     x_t, w, _ = way.forward(DENSE)
     top.plot(truth[:, 0], truth[:, 2], color="0.6", lw=5, label="the ball")
     for path, weight in zip(x_t[0], w[0]):
-        seen = weight > gaussian4d.LEAST_WEIGHT
+        seen = weight > gaussian4d.MIN_WEIGHT
         top.scatter(path[seen, 0], path[seen, 2], 14, HUES[name], alpha=weight[seen].clip(0, 1))
         below.plot(DENSE, np.where(seen, weight, np.nan), color=HUES[name], lw=1.5)
     below.plot(DENSE, w[0].sum(axis=0), color="k", ls="--", lw=1.5, label="together")
@@ -466,7 +470,7 @@ def influence(way, t_0=0.3):
     at = np.array([t_0])
     x_t, w, saved = way.forward(at)
     x_t_bar = np.zeros_like(x_t)
-    x_t_bar[..., 2] = np.where(w > gaussian4d.LEAST_WEIGHT, w, 0)  # the others are not drawn
+    x_t_bar[..., 2] = np.where(w > gaussian4d.MIN_WEIGHT, w, 0)  # the others are not drawn
     gradients = way.backward(saved, x_t_bar, np.zeros_like(w))
 
     def height(t):
@@ -764,7 +768,7 @@ assert rate is None
 
 # %%
 from p4dgs_ref import load_scene
-from p4dgs_ref.report.evaluate import decibel, score
+from p4dgs_ref.report.evaluate import score
 
 view = load_scene("figure").test[0]
 on_object = view.alpha > 0.5
@@ -777,11 +781,9 @@ print(
 )
 assert np.isclose(marks["psnr_db"], marks["psnr_fg_db"] - 10 * np.log10(p), atol=1e-6)
 two_views = np.array([1e-2, 1e-5])
-mean_of_dB = np.mean([decibel(e) for e in two_views])
-print(
-    f"20 dB and 50 dB: mean {mean_of_dB:.0f} dB; of the mean error {decibel(two_views.mean()):.0f}"
-)
-assert np.isclose(mean_of_dB, 35) and decibel(two_views.mean()) < 23.1
+mean_of_dB, dB_of_mean = np.mean(-10 * np.log10(two_views)), -10 * np.log10(np.mean(two_views))
+print(f"20 dB and 50 dB: mean {mean_of_dB:.0f} dB; of the mean error {dB_of_mean:.0f}")
+assert np.isclose(mean_of_dB, 35) and dB_of_mean < 23.1
 
 # %%
 figure, axes = plt.subplots(2, 2, figsize=(11, 8.6), layout="constrained")
@@ -846,9 +848,9 @@ lessons.show(figure, "28_four_ways_to_move_reading")
 # %%
 answer_1 = answer_2 = answer_3 = ...
 
-lessons.number("28.1", answer_1)
-lessons.number("28.2", answer_2)
-lessons.number("28.3", answer_3)
+lessons.check_number("28.1", answer_1)
+lessons.check_number("28.2", answer_2)
+lessons.check_number("28.3", answer_3)
 
 # %% [markdown]
 # ## Check your port

@@ -14,9 +14,12 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
-plt = lessons.begin("29_porting_in_an_afternoon")
+plt = lessons.begin()
+from tutorials.tools import architecture
+
+architecture.show("29_porting_in_an_afternoon")
 node = shutil.which("node") or print("node is not installed: the port is not run here")
 
 # %% [markdown]
@@ -203,8 +206,8 @@ lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
 
 # %%
 answer_1 = answer_2 = ...
-lessons.number("29.1", answer_1)
-lessons.number("29.2", answer_2, digits=15)
+lessons.check_number("29.1", answer_1)
+lessons.check_number("29.2", answer_2, digits=15)
 
 # %% [markdown]
 # ## Check your port

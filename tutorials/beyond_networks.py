@@ -9,9 +9,9 @@
 #
 #     python tutorials/beyond_networks.py results.csv
 #
-# **Files:** [weight_bits.py](../p4dgs_ref/equations/weight_bits.py) (the equation),
-# [coded_networks.py](../p4dgs_ref/training/coded_networks.py) (training),
-# [version_2.py](../p4dgs_ref/codec/version_2.py) (the format).
+# **Files:** [weight_bits.py](../p4dgs_ref/beyond/weight_bits.py) (the equation),
+# [networks.py](../p4dgs_ref/beyond/networks.py) (training),
+# [weights.py](../p4dgs_ref/beyond/weights.py) (the format).
 
 # %%
 import csv
@@ -21,14 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.codec.version_2 import write_weights
-from p4dgs_ref.equations import mlp, noise, positional_encoding, weight_bits
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
+from p4dgs_ref.beyond import networks as coded_networks
+from p4dgs_ref.beyond import weight_bits
+from p4dgs_ref.beyond.networks import step_code, step_of_code
+from p4dgs_ref.beyond.weights import write_weights
+from p4dgs_ref.designs import PRESETS
+from p4dgs_ref.equations import mlp, noise, positional_encoding
 from p4dgs_ref.lab.writer import bd_rate
-from p4dgs_ref.model import step_code, step_of_code
-from p4dgs_ref.training import coded_networks
 from p4dgs_ref.training.parameters import Adam, Parameters, random_layers
-from p4dgs_ref.training.presets import PRESETS
 
 plt = lessons.pyplot()
 
@@ -72,7 +73,7 @@ def trained(p, steps, price=None):
     for i in range(steps):
         networks, g = {"psi_d": p.network("psi_d")}, p.zeros()
         if price is not None:
-            networks, _, back = coded_networks.coded(p, layout)
+            networks, _, back = coded_networks.rounded_networks(p, layout)
         loss, gradients = error(networks)
         g.fill("psi_d", gradients)
         if price is not None:
@@ -84,7 +85,7 @@ def trained(p, steps, price=None):
 arrays = random_layers(np.random.default_rng(0), "psi_d", SHAPES)
 first = Parameters({**arrays, "log_step": np.zeros(6)}, float)
 networks = trained(first, 1200)
-first["log_step"][...] = coded_networks.first_log_steps(networks)
+first["log_step"][...] = coded_networks.initial_log_steps(networks)
 print(f"{WEIGHTS} numbers, error {error(networks)[0]:.1e}, as float16 {2 * WEIGHTS} bytes")
 
 # %% [markdown]

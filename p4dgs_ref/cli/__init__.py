@@ -14,10 +14,10 @@ class UsageError(ValueError):
     """A mistake on the command line: one line naming the option or file and what was expected."""
 
 
-def expect(condition, message):
-    """Refuse what the command line asks for where the condition fails."""
+def require(condition, where, expected):
+    """Raise a UsageError unless the condition holds."""
     if not condition:
-        raise UsageError(message)
+        raise UsageError(f"{where}: {expected}")
 
 
 def visible(text, kept=""):
@@ -40,6 +40,12 @@ def say(message):
     """Print a message on stderr as one line."""
     progress()
     print(f"p4dgs-ref: {visible(message)}", file=sys.stderr)
+
+
+def caution(warning):
+    """Print a warning, if there is one, on stderr as one line."""
+    if warning:
+        say(f"warning: {warning}")
 
 
 def tell(text):

@@ -10,41 +10,36 @@ import numpy as np
 
 import p4dgs_ref as p4
 
+from .. import designs
 from ..codec import container, splats
+from ..output import filled, made, new_file, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
-from ..scenes.load import find_scene, read_description, read_points_for
-from ..scenes.output import filled, made, new_file, write_atomically
-from ..training.fit import CHECKPOINT, few_views, fit, load_model, lost, warn
-from ..training.presets import SOURCES, beyond, choose, differences
-from ..training.trainer import Trainer
-from . import UsageError, expect, progress, say, show, tell, text
+from ..scenes.load import find_scene, read_points_for, read_scene_json
+from ..training.fit import CHECKPOINT, few_views
+from ..training.presets import differences, rows_of
+from . import UsageError, caution, progress, require, say, show, tell, text
 
 
-def read_scene(arguments):
-    """The scene that the command line names."""
-    return p4.load_scene(arguments.scene, arguments.background, arguments.downscale)
-
-
-def read_preset(arguments):
+def read_preset(name, changes=()):
     """The preset with its --set changes, checked before any work begins."""
     try:
-        changes = dict(item.partition("=")[::2] for item in arguments.changes)
-        return choose(arguments.preset, changes)
+        return designs.choose(name, dict(item.partition("=")[::2] for item in changes))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
 
 def read_file(path):
     """The bytes of a file, its model, and the seconds that decoding took."""
-    expect(
+    require(
         Path(path).is_file() or not Path(path).exists(),
-        f"{path}: a folder, pipe or device; expected a .p4dgs file",
+        path,
+        "a folder, pipe or device; expected a .p4dgs file",
     )
     try:
-        data = container.read_file(path)
+        data = designs.read_file(path)
         return data, *timed(p4.decode, data)
     except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
@@ -64,9 +59,10 @@ def estimate(arguments, trainers, jobs=1):
         f"about {minutes:.0f} minutes for {iterations:.0f} iterations, judging by the first of "
         "every training (later stages cost more)"
     )
-    expect(
+    require(
         minutes <= 60 or arguments.yes,
-        "this would take more than an hour; add --yes to start it all the same",
+        "--yes",
+        "this would take more than an hour; expected --yes to start it all the same",
     )
 
 
@@ -79,9 +75,12 @@ def seconds_of(trainer):
 
 def demo(arguments):
     """Run the main job and write its report."""
-    preset, scene = read_preset(arguments), read_scene(arguments)
-    designs = 2 if beyond(preset) else 1
-    estimate(arguments, [(Trainer(scene, preset), designs)], min(arguments.jobs, designs))
+    preset = read_preset(arguments.preset, arguments.changes)
+    scene = p4.load_scene(arguments.scene)
+    trainings = 2 if designs.beyond(preset) else 1
+    estimate(
+        arguments, [(designs.trainer_of(scene, preset), trainings)], min(arguments.jobs, trainings)
+    )
     metrics = p4.main_job(
         scene,
         preset,
@@ -107,46 +106,48 @@ def simulate(arguments):
 
 def train(arguments):
     """Fit a scene into a run folder."""
-    preset, scene, resume = read_preset(arguments), read_scene(arguments), arguments.resume
+    preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
+    scene = p4.load_scene(arguments.scene, downscale=arguments.downscale)
     checkpoint = Path(arguments.output) / CHECKPOINT
-    expect(
+    require(
         resume or not checkpoint.exists(),
-        f"{checkpoint}: exists; --resume goes on from it, another -o starts anew",
+        checkpoint,
+        "exists; --resume goes on from it, another -o starts anew",
     )
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        estimate(arguments, [(Trainer(scene, preset), 1)])
-    if not resume and "effects" not in read_description(find_scene(arguments.scene)):
-        say(
-            "warning: no scene.json lists effects, so all are trained; "
+        estimate(arguments, [(designs.trainer_of(scene, preset), 1)])
+    if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
+        caution(
+            "no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
         )
-    warn(few_views(scene))
+    caution(few_views(scene))
     with made(arguments.output) as folder:
         trainer, seconds = timed(
-            fit,
+            designs.fit,
             scene,
             preset,
             arguments.seed,
             folder=folder,
             resume=resume,
             stream=None if arguments.quiet else sys.stderr,
-            save_every=arguments.save_every,
         )
-        with filled(folder) as beside:
-            figures.write_training(beside, trainer.history, preset.stage_ends)
-    if trainer.factors:
-        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in trainer.factors)
+        with filled(folder) as staging:
+            figures.write_training(staging, trainer.history, preset.stage_ends)
+    factors = getattr(trainer, "factors", ())
+    if factors:
+        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
         say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
-    warn(lost(trainer))
+    caution(designs.what_is_lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 
 def encode(arguments):
     """Compress a run to a file."""
     with new_file(arguments.output, Path(arguments.run) / CHECKPOINT) as output:
-        model, values = load_model(arguments.run)
+        model, values = designs.load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
     tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
@@ -167,17 +168,19 @@ def decode(arguments):
             for i, array in enumerate(layers)
         },
     }
-    with filled(arguments.output, arguments.file) as beside:
-        np.savez(beside / "model.npz", **arrays)
-        (beside / "model.json").write_text(json.dumps(model.design._asdict(), indent=1) + "\n")
+    with filled(arguments.output, arguments.file) as staging:
+        np.savez(staging / "model.npz", **arrays)
+        (staging / "model.json").write_text(json.dumps(vars(model.design), indent=1) + "\n")
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
 def read_model(path):
     """The model of a file of ours, or of a baseline's."""
-    from ..lab import baselines  # a tenth of a second that other commands do not need
+    if Path(path).suffix != ".ply":
+        return read_file(path)[1]
+    from ..lab import baselines
 
-    return baselines.load(path) if Path(path).suffix == ".ply" else read_file(path)[1]
+    return baselines.load(path)
 
 
 def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
@@ -191,11 +194,16 @@ def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
 
 def render(arguments):
     """Draw pictures of a file."""
-    model = read_model(arguments.file)
+    model, known = read_model(arguments.file), p4.SETTINGS
+    require(
+        arguments.settings in known,
+        f"--settings {arguments.settings}",
+        f"expected one of {', '.join(known)}",
+    )
     if arguments.scene:
         views = [
             (view.name.replace("/", "_"), view.camera, view.time)
-            for view in p4.load_scene(arguments.scene, downscale=arguments.downscale).test
+            for view in p4.load_scene(arguments.scene).test
         ]
     else:
         camera = held_camera(
@@ -205,12 +213,12 @@ def render(arguments):
             (f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, arguments.frames))
         ]
     images = []
-    with filled(arguments.output, arguments.file) as beside:
+    with filled(arguments.output, arguments.file) as staging:
         for name, camera, t in views:
-            images.append(np.clip(model.render(camera, t, p4.SETTINGS[arguments.settings]), 0, 1))
-            iio.imwrite(beside / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
+            images.append(np.clip(model.render(camera, t, known[arguments.settings]), 0, 1))
+            iio.imwrite(staging / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
         if not arguments.scene:
-            figures.write_gif(beside / "motion.gif", images)
+            figures.write_gif(staging / "motion.gif", images)
     tell(f"{arguments.output}: {len(images)} images")
 
 
@@ -220,19 +228,15 @@ def frozen_camera(arguments, model):
         return held_camera(model), "a held camera"
     scene = arguments.scene or Path(arguments.file).stem  # `demo` names a file after its scene
     views, i = p4.load_scene(scene).test, arguments.camera or 0
-    expect(i < len(views), f"--camera {i}: expected one of the views 0 ... {len(views) - 1}")
+    require(i < len(views), f"--camera {i}", f"expected one of the views 0 ... {len(views) - 1}")
     return views[i].camera, f"view {views[i].name} of {scene}"
 
 
 def export_ply(arguments):
     """Write the Gaussians of one time as one camera sees them."""
-    expect(
-        Path(arguments.file).suffix != ".ply",
-        f"{arguments.file}: expected a .p4dgs file; `p4dgs-ref render` draws a baseline's",
-    )
-    _, model, _ = read_file(arguments.file)
+    file, (_, model, _) = Path(arguments.file), read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)
-    file, gaussians = Path(arguments.file), model.gaussians(arguments.time, camera)
+    gaussians = model.gaussians(arguments.time, camera)
     with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
         splats.write_gaussians(
             output,
@@ -258,7 +262,7 @@ def view(arguments):
 def evaluate(arguments):
     """Score a file on the test views of a scene."""
     data, model, seconds = read_file(arguments.file)
-    scene = read_scene(arguments)
+    scene = p4.load_scene(arguments.scene)
     metrics, rows, images = p4.evaluate(model, scene)
     metrics = {
         "scene": scene.name,
@@ -267,8 +271,8 @@ def evaluate(arguments):
         "decode_seconds": seconds,
     }
     if arguments.output:
-        with filled(arguments.output, arguments.file) as beside:
-            figures.write_comparison(beside, scene, rows, images)
+        with filled(arguments.output, arguments.file) as staging:
+            figures.write_comparison(staging, scene, rows, images)
     show(
         arguments,
         {**json_safe(metrics), "views": [json_safe(row) for row in rows]},
@@ -278,34 +282,37 @@ def evaluate(arguments):
 
 def inspect(arguments):
     """List the sections of a file."""
-    expect(arguments.output or not arguments.heat, "--heat: expected together with -o FOLDER")
+    require(arguments.output or not arguments.heat, "--heat", "expected together with -o FOLDER")
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
-        with filled(arguments.output, arguments.file) as beside:
-            figures.write_csv(beside / "size.csv", rows)
-            figures.draw_ledger(beside / "size.png", rows)
+        with filled(arguments.output, arguments.file) as staging:
+            figures.write_csv(staging / "size.csv", rows)
+            figures.draw_ledger(staging / "size.png", rows)
             if arguments.heat:
                 model, bits = sizes.anchor_bits(data)
-                figures.write_heat(beside, model, bits, held_camera(model))
+                figures.write_heat(staging, model, bits, held_camera(model))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 
 def presets(arguments):
     """Print the presets beside the paper's values."""
-    chosen = [p4.PRESETS[arguments.preset]] if arguments.preset else [*p4.PRESETS.values()]
+    one = arguments.preset
+    rows = [read_preset(name) for name in ([one] if one else p4.PRESETS)]
     show(
         arguments,
         {
             preset.name: {
-                "fields": preset._asdict(),
+                "fields": vars(preset),
                 "differs": [
                     {"field": field, "paper": paper, "here": here}
                     for field, paper, here in differences(preset)
                 ],
-                "sources_of_paper_presets": SOURCES,
+                "sources_of_paper_presets": {
+                    name: row.metadata["source"] for name, row in rows_of(preset).items()
+                },
             }
-            for preset in chosen
+            for preset in rows
         },
-        text.presets(chosen, bool(arguments.preset)),
+        text.presets(rows, bool(one)),
     )

@@ -1,110 +1,107 @@
-"""The commands of the laboratory: what choices cost, the paper's tables, the classroom."""
+"""The commands of the laboratory: what choices cost, the paper's tables, the classroom.
+
+Each imports the part of the laboratory that it needs.
+"""
 
 from contextlib import nullcontext
 from functools import partial
 
-from ..lab import bench, effect_ledger, school
-from ..lab.accuracy import report as accuracies
-from ..lab.stability import describe, draw_map, rows
-from ..lab.suggest import foretold, suggest
-from ..lab.tables import ablate, compare, curve, methods
+from ..output import filled
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from ..scenes.output import filled
-from . import expect, progress, say, show, tell
-from .job import estimate, read_scene
+from . import progress, require, say, show, tell
+from .job import estimate
 
 
 def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
-    with filled(arguments.output) as beside:
+    from ..lab.accuracy import report as accuracies
+
+    with filled(arguments.output) as staging:
         result = accuracies.run(
-            arguments.only or None, beside, arguments.quick, progress, arguments.jobs
+            arguments.only or None, staging, arguments.quick, progress, arguments.jobs
         )
-    show(arguments, result, accuracies.describe(result, arguments.output))
+    show(arguments, result, accuracies.to_text(result, arguments.output))
 
 
 def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
-    with filled(arguments.output) as beside:
+    from ..lab.stability import draw_map, rows, to_text
+
+    with filled(arguments.output) as staging:
         cases = rows(arguments.only)
-        draw_map(beside / "stability.png")
-    show(arguments, {"cases": cases}, f"{describe(cases)}\nmap: {arguments.output}/stability.png")
+        draw_map(staging / "stability.png")
+    show(arguments, {"cases": cases}, f"{to_text(cases)}\nmap: {arguments.output}/stability.png")
     return int(any(row["verdict"] == "fails" for row in cases))
 
 
 def effects(arguments):
     """Train with and without each effect, or say which effects the pictures call for."""
-    expect(arguments.suggest or not arguments.apply, "--apply: expected together with --suggest")
-    expect(not (arguments.suggest and arguments.quick), "--quick: expected without --suggest")
+    from ..lab import effect_ledger
+
+    require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    preset, share = ("smoke", 1) if arguments.quick else ("tiny", 0.5)
-    with filled(arguments.output) as beside:
-        scene = read_scene(arguments)
-        found = effect_ledger.ledger(scene, preset, arguments.seed, share, progress, arguments.jobs)
-        effect_ledger.draw_ledger(beside / "effects.png", found)
-    show(arguments, {"effects": found}, effect_ledger.describe(found, arguments.quick))
+    with filled(arguments.output) as staging:
+        scene = load_scene(arguments.scene)
+        rows = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
+        effect_ledger.draw_ledger(staging / "effects.png", rows)
+    show(arguments, {"effects": rows}, effect_ledger.to_text(rows))
 
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    scene, folder = read_scene(arguments), find_scene(arguments.scene)
-    expect(
+    from ..lab.suggest import seconds_of, suggest
+
+    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
+    require(
         not arguments.apply or packaged_folder() not in folder.resolve().parents,
-        f"--apply: {folder} is a packaged scene; expected a folder of yours",
+        "--apply",
+        f"{folder} is a packaged scene; expected a folder of yours",
     )
-    say(f"--suggest: about {foretold(scene, jobs=arguments.jobs):.0f} s of short trainings")
-    found = suggest(scene, progress=progress, jobs=arguments.jobs)
-    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in found]
+    say(f"--suggest: about {seconds_of(scene, jobs=arguments.jobs):.0f} s of short trainings")
+    rows = suggest(scene, progress=progress, jobs=arguments.jobs)
+    lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
-        called = [row["effect"] for row in found if row["called_for"]]
+        called = [row["effect"] for row in rows if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
-    show(arguments, {"effects": found}, "\n".join(lines))
+    show(arguments, {"effects": rows}, "\n".join(lines))
 
 
-def times(arguments):
-    """Time the renderer, a training step and the coder."""
-    result = bench.bench(arguments.quick)
-    show(arguments, result, bench.describe(result))
+def make_table(arguments, study, *options):
+    """Make the rows of a study that are missing, after an estimate of the time; show all."""
+    from ..lab.tables import methods
 
-
-def make(arguments, tasks):
-    """Make the rows of a study that are missing, after an estimate of the time."""
-    methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
-
-
-def show_table(arguments, study, result):
-    """Show the result of a study and where its files are."""
-    show(arguments, result, f"{study.describe(result)}\nfiles and tables: {arguments.output}")
+    with filled(arguments.output) as staging:
+        tasks = study.plan(*options, arguments.iterations)
+        methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
+        result = study.collect(tasks, staging)
+    show(arguments, result, f"{study.to_text(result)}\nfiles and tables: {arguments.output}")
 
 
 def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
-    names, seeds = arguments.scenes or compare.dynamic_scenes(), arguments.seeds
-    study = curve if arguments.curve else compare
+    from ..lab.tables import compare, curve
+
+    study, seeds = curve if arguments.curve else compare, arguments.seeds
+    scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
     if arguments.quick:
-        names, seeds = names[:1], 1
-    scenes, options = [load_scene(name) for name in names], (arguments.methods, seeds)
-    with filled(arguments.output) as beside:
-        tasks = study.plan(scenes, arguments.output, *options, arguments.iterations)
-        make(arguments, tasks)
-        result = study.collect(tasks, beside, progress)
-    show_table(arguments, study, result)
+        scenes, seeds = scenes[:1], 1
+    make_table(arguments, study, scenes, arguments.output, arguments.methods, seeds)
 
 
 def ablate_parts(arguments):
     """Print the paper's Table 3 in form, and the method with one part left out at a time."""
-    scene, options = load_scene(arguments.scene), (arguments.seeds, arguments.iterations)
-    with filled(arguments.output) as beside:
-        tasks = ablate.plan(scene, arguments.output, *options)
-        make(arguments, tasks)
-        result = ablate.collect(tasks, beside)
-    show_table(arguments, ablate, result)
+    from ..lab.tables import ablate
+
+    scene = load_scene(arguments.scene)
+    make_table(arguments, ablate, scene, arguments.output, arguments.seeds)
 
 
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
-    done = school.classroom(arguments.folder, arguments.only)
+    from ..lab.classroom import hand_out
+
+    done = hand_out(arguments.folder, arguments.only)
     kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
@@ -114,14 +111,15 @@ def classroom(arguments):
 
 def grade(arguments):
     """Judge what students wrote."""
-    with filled(arguments.output) if arguments.output else nullcontext() as beside:
-        grades = school.grade(
+    from ..lab import classroom as room
+
+    with filled(arguments.output) if arguments.output else nullcontext() as staging:
+        grades = room.grade(
             *arguments.folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
-            timeout=arguments.timeout,
             progress=progress,
         )
-        if beside:
-            school.write(grades, beside)
-    show(arguments, grades, school.text(grades))
+        if staging:
+            room.write(grades, staging)
+    show(arguments, grades, room.to_text(grades))

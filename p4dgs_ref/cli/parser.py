@@ -10,11 +10,10 @@ import sys
 import warnings
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
-from . import say, tell
+from . import caution, say, tell
 
 
 class Parser(argparse.ArgumentParser):
@@ -34,7 +33,7 @@ class Version(argparse.Action):
 
 
 # --- types of values, as argparse asks for them ---
-def number(kind, low, high=1e18):
+def bounded(kind, low, high=1e18):
     """A reader of an integer or a real number from low to high."""
 
     def read(text):
@@ -45,11 +44,6 @@ def number(kind, low, high=1e18):
         raise argparse.ArgumentTypeError(f"expected {words} in {low:g} ... {high:g}, got {text!r}")
 
     return read
-
-
-def color(text):
-    """The name of a color, which the scene will check, or three numbers."""
-    return tuple(map(float, text.split(","))) if "," in text else text
 
 
 # --- parts of the table ---
@@ -74,48 +68,25 @@ def output(help, **settings):
 
 
 def preset(default, help):
-    """The option --preset."""
-    return option("--preset", default=default, choices=PRESETS, metavar="NAME", help=help)
+    """The option --preset; `presets` lists the names."""
+    return option("--preset", default=default, metavar="NAME", help=help)
 
 
 JSON = switch("--json", "print JSON instead of text")
 JOBS = option(
     "--jobs",
-    type=number(int, 1),
+    type=bounded(int, 1),
     default=os.cpu_count() or 1,
     metavar="N",
     help="processes for independent trainings (default: one for every core)",
 )
-SEED = option(
-    "--seed", type=number(int, 0), default=0, metavar="N", help="of everything random (0)"
-)
 YES = switch("--yes", "go on although the estimate is over an hour")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
-BACKGROUND = option(
-    "--background", type=color, default="white", metavar="COLOR", help="white, black or r,g,b"
-)
-DOWNSCALE = option(
-    "--downscale",
-    type=number(int, 1),
-    default=1,
-    metavar="N",
-    help="divide the image size by this (1)",
-)
-VIEW = (BACKGROUND, DOWNSCALE)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
-PRESETS = (
-    "paper_synthetic",
-    "paper_real",
-    "tiny",
-    "tiny_coded",
-    "small_coded",
-    "tiny_real",
-    "smoke",
-)
 SETTINGS = (
-    SEED,
+    option("--seed", type=bounded(int, 0), default=0, metavar="N", help="of everything random (0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
     YES,
@@ -123,31 +94,24 @@ SETTINGS = (
 EXPERIMENT = (
     JSON,
     option(
-        "--seeds", type=number(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
+        "--seeds", type=bounded(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
     ),
     option(
         "--iterations",
-        type=number(int, 4),
+        type=bounded(int, 4),
         metavar="N",
         help="of every training (default those of the preset)",
     ),
     JOBS,
     YES,
 )
-VECTORS = option(
-    "--vectors",
-    choices=("1.0", "1.1", "1.2"),
-    default="1.2",
-    help="version of the vectors; earlier ones leave out the cases that joined later",
-)
 ORACLE = {
-    "list": ("oracle.list_cases", "list all cases and what each of them tests", (VECTORS,)),
+    "list": ("oracle.list_cases", "list all cases and what each of them tests", ()),
     "equations": ("oracle.list_equations", "print the table of equations", ()),
-    "path": ("oracle.path", "print the folder in which the vectors are installed", ()),
     "export": (
         "oracle.export_vectors",
-        "write the vectors into a folder",
-        (option("folder", help="folder to write to"), VECTORS),
+        "copy the vectors into a folder, and say where they are installed",
+        (option("folder", help="folder to write to"),),
     ),
     "check": (
         "oracle.check",
@@ -162,7 +126,7 @@ ORACLE = {
             option("--adapter", metavar="CMD", help="command of a port that answers lines of JSON"),
             option(
                 "--timeout",
-                type=number(float, 0.01, 86400),
+                type=bounded(float, 0.01, 86400),
                 metavar="SECONDS",
                 help="for each answer of the adapter, compilation included (10)",
             ),
@@ -171,18 +135,9 @@ ORACLE = {
                 choices=("float64", "float32"),
                 help="precision of the numbers sent to the adapter (float64)",
             ),
-            several(
-                "--level",
-                "LEVEL",
-                "only this level, L0 to L4; may be repeated",
-                choices=("L0", "L1", "L2", "L3", "L4"),
-            ),
+            several("--level", "LEVEL", "only this level, L0 to L4; may be repeated"),
             several("--only", "NAME", "only this equation, subject or group; may be repeated"),
-            VECTORS,
-            switch(
-                "--strict",
-                "demand all digits, also where the printed formula has fewer",
-            ),
+            switch("--strict", "demand all digits, also where the printed formula has fewer"),
         ),
     ),
 }
@@ -195,7 +150,6 @@ GROUPS = {
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 JSON,
-                *VIEW,
                 preset(
                     "tiny_coded", "of the training (tiny_coded); the paper's design is also trained"
                 ),
@@ -209,7 +163,13 @@ GROUPS = {
             "fit a scene",
             (
                 SCENE,
-                *VIEW,
+                option(
+                    "--downscale",
+                    type=bounded(int, 1),
+                    default=1,
+                    metavar="N",
+                    help="divide both sides of the training views by this (1)",
+                ),
                 preset("tiny", "of the training (tiny)"),
                 *SETTINGS,
                 option(
@@ -219,13 +179,6 @@ GROUPS = {
                 ),
                 output("run folder", required=True),
                 switch("--resume", "go on from the checkpoint in the run folder"),
-                option(
-                    "--save-every",
-                    type=number(float, 0, 1e6),
-                    default=20.0,
-                    metavar="SECONDS",
-                    help="between checkpoints (20)",
-                ),
             ),
         ),
         "encode": (
@@ -246,53 +199,52 @@ GROUPS = {
                 NEW_FOLDER,
                 option(
                     "--azimuth",
-                    type=number(float, -360, 360),
+                    type=bounded(float, -360, 360),
                     default=40.0,
                     metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
-                    type=number(float, -89, 89),
+                    type=bounded(float, -89, 89),
                     default=30.0,
                     metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
-                    type=number(float, 1e-3, 1e6),
+                    type=bounded(float, 1e-3, 1e6),
                     default=3.6,
                     metavar="D",
                     help="from the middle of the anchors (3.6)",
                 ),
                 option(
                     "--size",
-                    type=number(int, 1, 4096),
+                    type=bounded(int, 1, 4096),
                     default=128,
                     metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
-                    type=number(int, 1, 10_000),
+                    type=bounded(int, 1, 10_000),
                     default=24,
                     metavar="N",
                     help="times in 0 ... 1 (24)",
                 ),
                 option("--scene", help="use the cameras and times of this scene instead"),
-                DOWNSCALE,
                 option(
                     "--settings",
                     default="fast",
-                    choices=("exact", "paper", "fast"),
-                    help="of the renderer (fast)",
+                    metavar="NAME",
+                    help="of the renderer: exact, paper or fast (fast)",
                 ),
             ),
         ),
         "evaluate": (
             "job.evaluate",
             "score a file on the test views of a scene",
-            (FILE, SCENE, JSON, *VIEW, output("folder for the comparison's picture and table")),
+            (FILE, SCENE, JSON, output("folder for the comparison's picture and table")),
         ),
     },
     "Files, for those who draw a scene or look into a file": {
@@ -329,14 +281,14 @@ GROUPS = {
                 FILE,
                 option(
                     "--time",
-                    type=number(float, 0, 1),
+                    type=bounded(float, 0, 1),
                     default=0.0,
                     metavar="T",
                     help="to freeze (0)",
                 ),
                 option(
                     "--camera",
-                    type=number(int, 0),
+                    type=bounded(int, 0),
                     metavar="I",
                     help="test view I of --scene, from 0, instead of a held camera",
                 ),
@@ -348,9 +300,7 @@ GROUPS = {
             "job.presets",
             "what each preset changes, beside the paper's values",
             (
-                option(
-                    "preset", nargs="?", choices=PRESETS, help="show all fields of this one only"
-                ),
+                option("preset", nargs="?", help="show all fields of this one only"),
                 JSON,
             ),
         ),
@@ -388,11 +338,8 @@ GROUPS = {
             (
                 SCENE,
                 JSON,
-                *VIEW,
                 switch("--suggest", "only say which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
-                switch("--quick", "the preset smoke: seconds, too few steps to judge PSNR"),
-                SEED,
                 JOBS,
                 output(
                     "folder for the picture and the table (report/effects)",
@@ -427,11 +374,6 @@ GROUPS = {
                 ),
             ),
         ),
-        "bench": (
-            "lab.times",
-            "time the renderer, the parts of a training step and the coder",
-            (JSON, switch("--quick", "small sizes, a few seconds")),
-        ),
     },
     "Teach, for teachers and their students": {
         "classroom": (
@@ -463,16 +405,9 @@ GROUPS = {
                 ),
                 option(
                     "--seed",
-                    type=number(int, 0),
+                    type=bounded(int, 0),
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
-                ),
-                option(
-                    "--timeout",
-                    type=number(float, 0.1, 3600),
-                    default=5.0,
-                    metavar="SECONDS",
-                    help="for one case (5)",
                 ),
                 output("folder for grades.txt, .json and .csv"),
             ),
@@ -526,7 +461,7 @@ def parser():
 
 # The end of the message of a stopped command: what is kept, and how to go on.
 STOPPED = {
-    "train": "; the last checkpoint is kept, the same command with --resume goes on from it",
+    "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
         ("compare", "ablate"),
         "; the trainings that are done are kept, the same command makes the others",
@@ -536,39 +471,32 @@ STOPPED = {
 }
 
 
-def how_to_go_on(arguments):
-    """What STOPPED says of a command; nothing of a training that has no checkpoint yet."""
-    from ..training.fit import CHECKPOINT
-
-    is_lost = arguments.command == "train" and not Path(arguments.output, CHECKPOINT).is_file()
-    return "" if is_lost else STOPPED.get(arguments.command, "")
-
-
 def run(argv, start):
     """Parse and run a command; returns the exit code.
 
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
     ValueError that this package defines means invalid input; another one is a bug.
     """
-    arguments = parser().parse_args(argv)
-    arguments.start = start
+    arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
-    try:
-        with warnings.catch_warnings():
-            # in one line; the place in the code means nothing to a user
-            warnings.showwarning = lambda message, *place: say(f"warning: {message}")
+    with warnings.catch_warnings(record=True) as caught:
+        try:
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
-    except KeyboardInterrupt:
-        code, message = 130, f"stopped{how_to_go_on(arguments)}"
-    except (ArithmeticError, MemoryError) as error:
-        code, message = 1, str(error) or "out of memory"
-    except OSError as error:
-        code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
-    except ValueError as error:
-        if not type(error).__module__.startswith("p4dgs_ref."):
-            raise
-        code, message = 2, error
+        except KeyboardInterrupt:
+            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
+        except (ArithmeticError, MemoryError) as error:
+            code, message = 1, str(error) or "out of memory"
+        except OSError as error:
+            code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
+        except ValueError as error:
+            if not type(error).__module__.startswith("p4dgs_ref."):
+                raise
+            code, message = 2, error
+        finally:
+            # In one line each; the place in the code means nothing to a user.
+            for warning in caught:
+                caution(warning.message)
     say(message)
     return code

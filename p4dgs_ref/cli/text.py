@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, rows_of, value_of
 
 
 def quality(m):
@@ -83,25 +83,26 @@ def setting(value):
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def presets(chosen, every_field):
-    """The presets beside the paper's two: all fields, or those that differ, with a star.
+def presets(shown, every_field):
+    """Presets beside the paper's two, each as `preset` shows it."""
+    return "\n".join(line for one in shown for line in preset(one, every_field))
+
+
+def preset(one, every_field):
+    """The lines of a preset: all fields, or those that differ, with a star.
 
     The last column says where the values of the paper's presets come from.
     """
-    lines = []
-    for preset in chosen:
-        changed = [field for field, *_ in differences(preset)]
-        columns = list(dict.fromkeys((preset, PAPER_SYNTHETIC, PAPER_REAL)))
-        table = [["  field", *(p.name for p in columns), "source of the paper presets"]]
-        table += [
-            [
-                f"* {field}" if field in changed else f"  {field}",
-                *(setting(getattr(p, field)) for p in columns),
-                SOURCES[field],
-            ]
-            for field in (SOURCES if every_field else changed)
-        ]
-        widths = [max(map(len, column)) for column in zip(*table)]
-        lines.append(f"{preset.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}")
-        lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
-    return "\n".join(lines)
+    changed = [field for field, *_ in differences(one)]
+    columns = list(dict.fromkeys((one, PAPER_SYNTHETIC, PAPER_REAL)))
+    rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
+    for field, row in rows_of(one).items():
+        if every_field or field in changed:
+            values = [setting(value_of(p, row)) for p in columns]
+            mark = "* " if field in changed else "  "
+            rows.append([mark + field, *values, row.metadata["source"]])
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return [
+        f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",
+        *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
+    ]

@@ -3,6 +3,5 @@
 The docstrings of these modules are the specification of the file format. From the outside in:
 `container` is the file, `file` and `header` are its sections, `context` says how each symbol is
 coded, `gaussian_table` gives its frequencies, `streams` is one section of symbols, and `rans` is
-the entropy coder. `version_2` has the sections of version 2 that differ from version 1.
-`python -m p4dgs_ref.codec` prints them as one page, with the tables.
+the entropy coder. `python -m p4dgs_ref.codec` prints them as one page, with the tables.
 """

@@ -5,20 +5,17 @@ outside of the file and leads to the tables of integers that a decoder needs. It
 a picture is drawn from what was decoded.
 """
 
-import json
 import sys
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
 
-from .gaussian_table import table
-from .header import BASES
+from .gaussian_table import lookup_table
 
 PARTS = (
     "container",
     "file",
     "header",
-    "version_2",
     "context",
     "gaussian_table",
     "streams",
@@ -36,19 +33,22 @@ TABLES = {
 
 def page():
     """The format page as text."""
-    bases = [f'"{name}": {json.dumps(base)}' for name, base in BASES.items()]
     texts = {
         **{f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS},
         **{
-            f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, table(name))), 100)}"
+            f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, lookup_table(name))), 100)}"
             for name, meaning in TABLES.items()
         },
-        "Base designs": "\n\n".join(fill(base, 100) for base in bases),
         "From the arrays to a picture": PICTURE.read_text(encoding="utf-8"),
     }
-    page = "The file format of p4dgs_ref, versions 1 and 2\n"
-    for number, (title, text) in enumerate(texts.items(), 1):
-        heading = f"{number}. {title}"
+    return numbered("The file format of p4dgs_ref", texts)
+
+
+def numbered(title, texts):
+    """A page of texts under numbered headings, {heading: text}."""
+    page = f"{title}\n"
+    for number, (name, text) in enumerate(texts.items(), 1):
+        heading = f"{number}. {name}"
         page += f"\n\n{heading}\n{'=' * len(heading)}\n\n{text.strip()}\n"
     return page
 

@@ -143,10 +143,10 @@ import numpy as np
 from ..equations.grid_nodes import entries
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import GROUPS, LATTICE
-from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, table
+from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, lookup_table
 from .rans import bit_length
 
-INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MOST_SCALE = 15, 22, 15, 50, 24
+INPUT_BITS, ACTIVATION_BITS, WEIGHT_BITS, BIAS_BITS, MAX_SCALE = 15, 22, 15, 50, 24
 STEP_FLOOR, STEP_MAX = 32, 2**16  # of q_units, 2 Q_0 / 2^16 each; the floor of Q7 is 2^-10 Q_0
 LOG2_E = 94548  # log2(e) in units of 2^-16
 CHUNK = 2**18  # numbers per temporary array, so that memory does not grow with the anchors
@@ -176,7 +176,7 @@ def whole_layers(weights, biases):
     """The layers of a network in integers, from the weights and biases in the file."""
     layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
     for W, b in zip(weights, biases):
-        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MOST_SCALE)
+        n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MAX_SCALE)
         W, b, bits = np.rint(W * 2.0**n), np.rint(b * 2.0 ** (bits + n)), bits + n
         # |x_i| <= X, so by the triangle inequality no sum of some of the products x_i W_ij, with or
         # without b_j, exceeds the bound. Integers up to 2^53 are exact in float64.
@@ -214,7 +214,7 @@ def log2(values):
     length = bit_length(values)
     # Shift the leading one to bit 23; the 23 bits after it are 8 of the index and 15 of the rest.
     leading = values << np.maximum(24 - length, 0) >> np.maximum(length - 24, 0)
-    steps, i, r = table("log2"), leading >> 15 & 255, leading & 2**15 - 1
+    steps, i, r = lookup_table("log2"), leading >> 15 & 255, leading & 2**15 - 1
     return (length - 1 << 16) + steps[i] + ((steps[i + 1] - steps[i]) * r >> 15)
 
 
@@ -269,7 +269,7 @@ def context_of(h, psi_q, psi_p, design):
     """q, mu_units and sigma_units (parts 3 to 6) of some anchors."""
     u = rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15)
     v = np.clip(u + (4 << 12), 0, (10 << 12) - 1)
-    steps, i, r = table("sigmoid"), v >> 6, v & 63
+    steps, i, r = lookup_table("sigmoid"), v >> 6, v & 63
     share = steps[i] + ((steps[i + 1] - steps[i]) * r >> 6)
     q_units = np.clip(share + 128 >> 8, STEP_FLOOR, STEP_MAX)
 

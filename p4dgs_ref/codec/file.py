@@ -14,13 +14,9 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     7   masks            bits       k bits per anchor: 1 where the child is kept
     8   hash_grid        bits       level by level, T nodes of F entries, one bit each: 1 for an
                                     entry of +1, 0 for -1
-    9   deformation_mlp  float16    psi_d, then psi_t where it exists; absent where nothing moves,
-                                    also with `time_net`
+    9   deformation_mlp  float16    psi_d; absent where nothing moves
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
-
-In version 2, `version_2.py` says what follows the box in section 2 and what sections 9 to 11 hold.
-All other sections are the same.
 
 All numbers are little-endian. A decoder needs the sections in another order: it reads header,
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
@@ -67,10 +63,6 @@ hidden widths in the header to its outputs:
     psi_d               inputs: 3 (1 + 2 L_x) + 1 + 2 L_t; hidden widths: `deformation`; then up to
                         three last layers side by side, each with its own W and b: 3, 3 and 4
                         outputs for translation, scaling and rotation, where the header lists them
-    psi_t               only where the header has `time_net`: inputs 1 + 2 L_t, then its widths; its
-                        outputs are inputs of psi_d instead of 1 + 2 L_t
-                        With `skip`, the layer of psi_d after the middle one has the inputs of psi_d
-                        before its others; of n widths it is number n // 2 + 1, counted from 0.
 
 Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its
 symbol times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no
@@ -78,18 +70,17 @@ fused multiply-add). The offsets of masked children are 0.
 
 Encoding again. Encoding a decoded model gives the same bytes if this encoder wrote the file.
 Another valid file may give other bytes, because this encoder writes the header without spaces and
-chooses the number of lanes, the length of the tail and the probability of a bit. In version 2 it
-also chooses the base design, the raw bits of a gap, and the levels and codes of networks. The file
-that it writes decodes to the same numbers, with three exceptions:
+chooses the number of lanes, the length of the tail and the probability of a bit. The file that it
+writes decodes to the same numbers, with three exceptions:
 
 1. Anchors without children are dropped, except that one anchor always stays. The published stream
    `all_masked_but_one` has such anchors. The numbers of all other anchors stay.
 2. In a scene without view effects, hidden units of the anchor networks that are 0 for every anchor
    are dropped. The pictures stay.
 3. On an axis on which the box has no extent, every n stands for the same coordinate, so that a
-   decoded model does not hold n, and 0 is stored. Where n was not 0 (only in version 1, as in
-   `one_anchor`), the anchor gets another hash feature and therefore other steps, and its attributes
-   move by half a new step at most. If a symbol would then exceed 2^31, the model is refused.
+   decoded model does not hold n, and 0 is stored. Where n was not 0 (as in `one_anchor`), the
+   anchor gets another hash feature and therefore other steps, and its attributes move by half a new
+   step at most. If a symbol would then exceed 2^31, the model is refused.
 
 A model is also refused if the file that this encoder writes is too short for the limits of work in
 `header.py`, which a longer file of the same model may meet.
@@ -101,21 +92,29 @@ Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535
 
 import numpy as np
 
+from ..attributes import ATTRIBUTES
 from ..model import ANCHOR_NETWORKS, CONTEXT_NETWORKS, Anchors, Model, unsnap
-from .container import SECTIONS, BitstreamError, open_container, require, write_container
+from .container import (
+    SECTIONS,
+    BitstreamError,
+    EncodeError,
+    read_container,
+    require,
+    write_container,
+)
 from .context import coding_context
 from .gaussian_table import gaussian_model
-from .header import check_work, read_header, write_header
-from .quantise import BOX, EncodeError, Quantised, coded, dequantise, quantise, valid_box
+from .header import check_work
+from .plain import PLAIN
+from .quantise import Quantised, coded_columns, dequantise, quantise
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
-from .version_2 import networks_of, read_gaps, read_weights, write_gaps, write_weights
 
 NETWORK_SECTIONS = {
     "anchor_mlps": ANCHOR_NETWORKS,
     "context_mlps": CONTEXT_NETWORKS,
-    "deformation_mlp": ("psi_d", "psi_t"),
+    "deformation_mlp": ("psi_d",),
 }
-ATTRIBUTE_SECTIONS = ("features", "scales", "offset_scales", "offsets")  # groups f, s, l, O
+ATTRIBUTE_SECTIONS = tuple(row.section for row in ATTRIBUTES)
 
 
 def attribute_columns(design):
@@ -127,21 +126,16 @@ def attribute_columns(design):
     ]
 
 
-def sections_of(quantised):
+def sections_of(quantised, form=PLAIN):
     """The sections {name: bytes} of a quantised model.
 
     Raises EncodeError for a model that decoders refuse because it would cost them too much time.
     """
     model, ctx = quantised.model, quantised.context
-    positions = np.concatenate(model.box).astype("<f4").tobytes()
-    if model.design.coded:
-        positions += write_gaps(quantised.positions, model.box, model.design.position_bits)
-    else:
-        positions += quantised.positions.astype("<u2").tobytes()
     signs = np.concatenate([grid.ravel() for grid in model.grids])
     sections = {
-        "header": write_header(model),
-        "positions": positions,
+        "header": form.write_header(model),
+        "positions": form.write_positions(model, quantised.positions),
         "masks": encode_bits(model.anchors.mask.ravel()),
         "hash_grid": encode_bits(signs > 0),
     }
@@ -152,11 +146,7 @@ def sections_of(quantised):
     for name, members in NETWORK_SECTIONS.items():
         present = {member: model.networks[member] for member in members if member in model.networks}
         if present:
-            sections[name] = (
-                write_weights(present, model.steps)
-                if model.design.coded
-                else network_numbers(present).astype("<f2").tobytes()
-            )
+            sections[name] = form.write_networks(present, model)
     try:
         check_work(model.design, len(model.anchors.mask), sum(map(len, sections.values())))
     except BitstreamError as error:
@@ -164,19 +154,12 @@ def sections_of(quantised):
     return sections
 
 
-def network_numbers(networks):
-    """Weights and biases of some networks in the order of the file, as one array."""
-    layers = [layer for network in networks.values() for layer in zip(*network)]
-    return np.concatenate([array.ravel() for pair in layers for array in pair])
-
-
 def encode(model: Model) -> bytes:
     """The file of a model, as bytes. The same model gives the same bytes.
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
-    quantised = quantise(model)
-    return write_container(sections_of(quantised), 1 + quantised.model.design.coded)
+    return write_container(sections_of(quantise(model)))
 
 
 def decode(data: bytes) -> Model:
@@ -184,40 +167,39 @@ def decode(data: bytes) -> Model:
 
     Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.
     """
-    return quantised_of(open_container(data), data[8]).model
+    return quantised_of(read_container(data)).model
 
 
-def quantised_of(sections, version=1):
+def quantised_of(sections, form=PLAIN):
     """The quantised model in the sections of a file, the inverse of `sections_of`.
 
     Raises BitstreamError, which names section and byte.
     """
     require("header" in sections, "header", 0, "section is missing")
-    design, A, background = read_header(sections["header"], version)
+    design, A, background = form.read_header(sections["header"])
     check_work(design, A, sum(map(len, sections.values())))
     check_presence(sections, design.layers())
-    box, positions = read_positions(sections["positions"], A, design)
-    networks, steps, layers = {}, {}, design.layers()
+    box, positions = form.read_positions(sections["positions"], A, design)
+    networks, layers = {}, design.layers()
     for name, members in NETWORK_SECTIONS.items():
         shapes = {member: layers[member] for member in members if member in layers}
         if shapes:
-            read = read_weights if design.coded else read_networks
-            decoded, codes = read(sections[name], name, shapes)
-            networks, steps = networks | decoded, steps | codes
+            networks |= form.read_networks(sections[name], name, shapes)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
-    ctx, kept = coding_context(design, networks, grids, positions), coded(mask, design)
-    found = [
+    kept = coded_columns(mask, design)
+    ctx = coding_context(design, networks, grids, positions)
+    decoded = [
         (columns, read_symbols(sections[name], name, ctx, columns, kept))
         for name, columns in attribute_columns(design)
     ]
     # Allocated after decoding, because the memory limit leaves no room beside the coder's arrays.
     symbols = np.zeros(kept.shape, np.int64)
-    for columns, values in found:
+    for columns, values in decoded:
         symbols[:, columns][kept[:, columns]] = values
-    del found, values
+    del decoded, values
     anchors = Anchors(unsnap(positions, *box), *dequantise(symbols, ctx, design), mask)
-    model = Model(design, anchors, networks, grids, box, background, steps or None)
+    model = Model(design, anchors, networks, grids, box, background)
     return Quantised(model, positions, symbols, kept, ctx)
 
 
@@ -237,35 +219,9 @@ def read_symbols(data, name, ctx, columns, kept):
     return decode_symbols(data, tables, name)
 
 
-def read_positions(data, A, design):
-    """The box, two float32 arrays [3], and the positions [A, 3] int64."""
-    least = 24 if design.coded else 24 + 6 * A
-    require(
-        len(data) >= least and (design.coded or len(data) == least),
-        "positions",
-        len(data),
-        f"expected {least} bytes{' or more' * design.coded} for {A} anchors, found {len(data)}",
-    )
-    lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
-    require(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
-    if design.coded:
-        return (lo, hi), read_gaps(data, 24, A, (lo, hi), design.position_bits)
-    return (lo, hi), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
-
-
 def read_grids(data, design):
     """The levels [T, F] of the hash grid, +1 and -1."""
     shapes = design.levels()
     ends = np.cumsum([T * F for T, F in shapes])
     signs = np.split(decode_bits(data, int(ends[-1]), "hash_grid"), ends[:-1])
     return [np.where(part, 1.0, -1.0).reshape(shape) for part, shape in zip(signs, shapes)]
-
-
-def read_networks(data, section, shapes):
-    """The networks {name: (weights, biases)} of a section, float64, which have no steps: {}."""
-    size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
-    require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
-    numbers = np.frombuffer(data, "<f2").astype(float)
-    finite = np.isfinite(numbers)
-    require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
-    return networks_of(numbers, shapes), {}

@@ -95,7 +95,7 @@ class Model(NamedTuple):
 
 
 @cache
-def table(name):
+def lookup_table(name):
     """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
     tables = json.loads(Path(__file__).with_name("tables.json").read_text())
     return np.array(tables[name], np.int64)
@@ -148,7 +148,7 @@ def keys_of(sigma_units, place):
 
     `place` is mu' modulo one block, in units of 1/1024 symbol.
     """
-    phi, exp2 = table("phi"), table("exp2")
+    phi, exp2 = lookup_table("phi"), lookup_table("exp2")
     e, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
     number = np.repeat(np.arange(len(entries)), entries)  # of each entry's table

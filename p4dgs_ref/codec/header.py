@@ -14,82 +14,54 @@
     F             entries per node of the hash grid: 1 to 64
     Q_0           list of the four base steps of f, s, l, O: 2^-100 to 2^100
     tau_alpha     opacity below which a Gaussian is not drawn: -1 to 1
-    time_net      optional: list of 1 to 8 widths, 1 to 2^14 each: the hidden layers of psi_t and
-                  its output. Without this field there is no psi_t
-    skip          optional, true: psi_d has a skip; `deformation` then has at least 3 widths
     effects       list of the effects of the scene, none twice, in any order: some of "translation",
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
-Only the optional fields may be missing, no field occurs twice, and there is no other. They stand in
-any order. background, Q_0 and tau_alpha hold numbers that are read as the nearest double, as
-JSON.parse and strtod do. All other numbers are integers, written without point and exponent; a
-reader that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of two equal
-fields it silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys in the
-text, marks the numbers with a point or an exponent before it parses, and refuses both.
+All fields are there, none occurs twice, and there is no other. They stand in any order. background,
+Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do. All
+other numbers are integers, written without point and exponent; a reader that cannot tell 4 from 4.0
+may accept both. JSON.parse is such a reader, and of two equal fields it silently keeps the last.
+The port in `viewer/p4dgs.js` therefore counts the keys in the text, marks the numbers with a point
+or an exponent before it parses, and refuses both.
 
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 
 The header promises the following numbers: for every anchor 3 + d + 6 + 3 k attributes and k masks,
 the entries of the grid, and the weights and biases of all networks that the file holds: where
-nothing moves, psi_d and psi_t do not count, whatever their widths. There are at most 2^24 entries
-of the grid and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes
-for each of these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON
-parser needs many times the memory of its text.
+nothing moves, psi_d does not count, whatever its widths. There are at most 2^24 entries of the grid
+and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes for each of
+these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON parser
+needs many times the memory of its text.
 
-VERSION 2. The header has two more fields:
-
-    as             the name of a base design
-    position_bits  bits of a coordinate of a position (`version_2.py`): 1 to 16
-
-`as` and `anchors` must be there. Any other field that is missing has the value of the base design.
-The limits above hold for all values together. The base designs stand at the end of this page and in
-`bases.json`. None of them ever changes, but others may join. This encoder takes the one that gives
-the shortest header, and of several the first.
-
-Worked numbers. {"as":"tiny","anchors":199,"k":5} stands for the header of version 1 with 199
-anchors, five children, and the rest of the base design "tiny"; its positions have 10 bits.
-
-BOTH VERSIONS. Time is bounded by n, the number of bytes of all sections together. The header
-promises at most 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for
-every weight of psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of
-D axes. A node counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All
-anchors together need at most 2^34 + 2^15 n multiplications. The files of all presets stay within
-both limits, whatever the number of their anchors. A decoder checks all limits before it reads other
-sections.
+Time is bounded by n, the number of bytes of all sections together. The header promises at most
+2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
+psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of D axes. A node
+counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All anchors together
+need at most 2^34 + 2^15 n multiplications. The files of all presets stay within both limits,
+whatever the number of their anchors. A decoder checks all limits before it reads other sections.
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 
-from ..model import CONTEXT_NETWORKS, MOST_NUMBERS, Design, declared_numbers
-from ..scenes.scene import MODEL_EFFECTS, MOST_ANCHORS, MOST_ENTRIES, MOST_HEADER
+from ..attributes import ATTRIBUTES
+from ..model import CONTEXT_NETWORKS, MAX_NUMBERS, Design, declared_numbers
+from ..scenes.scene import MAX_ANCHORS, MAX_ENTRIES, MAX_HEADER_BYTES, MODEL_EFFECTS
 from .container import require
 
-# The base designs of version 2. Files name them, so none of them may ever change.
-BASES = json.loads(Path(__file__).with_name("bases.json").read_text())
 AXES = ("xyz", "xy", "xz", "yz")
 
 
 def write_header(model):
     """The section's bytes: JSON without spaces, keys in a fixed order."""
-    fields = {
-        "anchors": len(model.anchors.mask),
-        "background": [float(c) for c in model.background],
-        **model.design._asdict(),
-    }
-    fields = {name: value for name, value in fields.items() if value or name not in OPTIONAL}
-    if fields.pop("coded"):
-        return min((as_base(name, fields) for name in BASES), key=len)
-    del fields["position_bits"]
-    return in_json(fields)
+    return in_json(fields_of(model))
 
 
-def as_base(name, fields):
-    """The header of version 2 that names a base design and the fields that differ from it."""
-    fields = json.loads(in_json(fields))  # with lists, as the base has them
-    return in_json({"as": name} | {k: v for k, v in fields.items() if BASES[name].get(k) != v})
+def fields_of(model):
+    """The fields of the header of a model."""
+    background = [float(c) for c in model.background]
+    return {"anchors": len(model.anchors.mask), "background": background, **vars(model.design)}
 
 
 def in_json(fields):
@@ -97,47 +69,49 @@ def in_json(fields):
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
-def read_header(data, version=1):
+def read_header(data):
     """The design, the number of anchors and the background of a header section.
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
-    expect(len(data) <= MOST_HEADER, f"{len(data)} bytes, expected at most {MOST_HEADER}")
+    return read_fields(read_object(data))
+
+
+def read_object(data):
+    """The fields {name: value} of a header section, whatever they are."""
+    require_header(
+        len(data) <= MAX_HEADER_BYTES, f"{len(data)} bytes, expected at most {MAX_HEADER_BYTES}"
+    )
     try:
         pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
     except (ValueError, RecursionError):
         pairs = []
     whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
-    expect(whole, "expected a JSON object with no field twice")
-    fields, needed = dict(pairs), FIELDS
-    if version == 2:
-        base = fields.pop("as", None)
-        expect(base in tuple(BASES), f"field 'as': expected one of {', '.join(BASES)}")
-        fields, needed = {**BASES[base], **fields}, {**FIELDS, "position_bits": integer(16)}
-    known = {**needed, **OPTIONAL}
-    expect(
-        set(needed) <= set(fields) <= set(known),
-        f"expected the fields {', '.join(needed)}, and perhaps {', '.join(OPTIONAL)}, once each",
+    require_header(whole, "expected a JSON object with no field twice")
+    return dict(pairs)
+
+
+def read_fields(fields, more={}, kind=Design):
+    """What `read_header` returns. `more` {name: reader} are further fields of a design `kind`."""
+    readers = {**FIELDS, **more}
+    require_header(
+        fields.keys() == readers.keys(), f"expected the fields {', '.join(readers)}, once each"
     )
-    values = {name: read(name, fields[name]) for name, read in known.items() if name in fields}
-    expect(
-        len(values["deformation"]) >= 3 or "skip" not in values,
-        "field 'skip': expected at least 3 widths in the field 'deformation'",
-    )
-    expect(
+    values = {name: read(name, fields[name]) for name, read in readers.items()}
+    require_header(
         len(set(values["effects"])) == len(values["effects"]),
         "field 'effects': expected no effect twice",
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
-    design = Design(**values, coded=version == 2)
+    design = kind(**values)
     parts = declared_numbers(design, anchors)
-    expect(
-        parts["grid"] <= MOST_ENTRIES,
-        f"field 'grid': {parts['grid']} entries declared, expected at most {MOST_ENTRIES}",
+    require_header(
+        parts["grid"] <= MAX_ENTRIES,
+        f"field 'grid': {parts['grid']} entries declared, expected at most {MAX_ENTRIES}",
     )
-    expect(
-        sum(parts.values()) <= MOST_NUMBERS,
-        f"{sum(parts.values())} numbers declared {parts}, expected at most {MOST_NUMBERS}",
+    require_header(
+        sum(parts.values()) <= MAX_NUMBERS,
+        f"{sum(parts.values())} numbers declared {parts}, expected at most {MAX_NUMBERS}",
     )
     return design, anchors, background
 
@@ -145,20 +119,20 @@ def read_header(data, version=1):
 def check_work(design, anchors, size):
     """Refuse a header that promises more work than `size` bytes of sections may cause."""
     numbers, most = sum(declared_numbers(design, anchors).values()), 2**22 + 2**4 * size
-    expect(
+    require_header(
         numbers <= most,
         f"{numbers} numbers declared, expected at most {most} in sections of {size} bytes",
     )
     weights = sum(I * J for name in CONTEXT_NETWORKS for I, J in design.layers()[name])
     nodes = sum(2 ** len(axes) for axes, _ in design.grid)
     work, most = anchors * (weights + nodes * 64 * (design.F + 8)), 2**34 + 2**15 * size
-    expect(
+    require_header(
         work <= most,
         f"{work} multiplications declared, expected at most {most} for sections of {size} bytes",
     )
 
 
-def expect(holds, message):
+def require_header(holds, message):
     """Refuse the header unless a condition holds."""
     require(holds, "header", 0, message)
 
@@ -167,7 +141,7 @@ def field(holds, expected, convert=lambda value: value):
     """The reader of a field whose value meets a condition, which it converts."""
 
     def read(name, value):
-        expect(holds(value), f"field {name!r}: expected {expected}")
+        require_header(holds(value), f"field {name!r}: expected {expected}")
         return convert(value)
 
     return read
@@ -181,7 +155,7 @@ def integer(most):
     )
 
 
-def number(least, most):
+def real(least, most):
     """The reader of a number in a range."""
     return field(  # false for NaN
         lambda value: type(value) in (int, float) and least <= value <= most,
@@ -201,7 +175,7 @@ def list_of(read_item, least, most):
 
 def level(name, value):
     """Reads a level of the hash grid, [axes, resolution]."""
-    expect(
+    require_header(
         isinstance(value, list) and len(value) == 2 and value[0] in AXES,
         f"field {name!r}: expected [axes, resolution] with axes {', '.join(AXES)}",
     )
@@ -211,8 +185,8 @@ def level(name, value):
 EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_EFFECTS)}")
 WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
 FIELDS = {
-    "anchors": integer(MOST_ANCHORS),
-    "background": list_of(number(-(2.0**20), 2.0**20), 3, 3),
+    "anchors": integer(MAX_ANCHORS),
+    "background": list_of(real(-(2.0**20), 2.0**20), 3, 3),
     "d": integer(4096),
     "k": integer(256),
     "hidden": WIDTHS,
@@ -223,11 +197,7 @@ FIELDS = {
     "grid": list_of(level, 1, 64),
     "table": list_of(integer(2**24), 2, 2),
     "F": integer(64),
-    "Q_0": list_of(number(2.0**-100, 2.0**100), 4, 4),
-    "tau_alpha": number(-1.0, 1.0),
+    "Q_0": list_of(real(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
+    "tau_alpha": real(-1.0, 1.0),
     "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),
-}
-OPTIONAL = {
-    "time_net": list_of(integer(2**14), 1, 8),
-    "skip": field(lambda value: value is True, "true"),
 }

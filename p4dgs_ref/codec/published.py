@@ -11,17 +11,15 @@ objects:
            file, and why. `section` is "container" for the frame of the file. `offset` counts bytes
            from the start of the section, or of the file for the container; it is null where
            correct decoders may differ. `kind` is one of magic, version, length (of file or
-           section), checksum, table (section ids and their order; the w of version 2), missing,
-           unexpected (a section), header (its content), number (a weight or the box), stream (an
-           entropy-coded message; the r of the positions). An impossible state is refused where it
-           begins, behind the byte of lanes (`state_too_small`: byte 1; `idle_high_word`: byte 5,
-           as its section begins with a probability), gaps that add up to too much at r
-           (`coded_overrun`: byte 24), and a gamma code without an end among the gaps where their
-           raw bits begin (`coded_endless_gap`: byte 25).
+           section), checksum, table (section ids and their order), missing, unexpected (a
+           section), header (its content), number (a weight or the box), stream (an entropy-coded
+           message). An impossible state is refused where it begins, behind the byte of lanes
+           (`state_too_small`: byte 1; `idle_high_word`: byte 5, as its section begins with a
+           probability).
 
-The streams whose names begin with `coded_` have version 2. Their `header` is the JSON as it stands
-in the file, without what the base design says. A port must read version 1. It may refuse or skip
-all files of version 2, but if it reads one of the valid ones, it must read all of them.
+A port must read these streams, but for those whose names begin with `coded_`. They are not the
+paper's (`python -m p4dgs_ref.beyond`), and a port may refuse or skip all of them; if it reads one
+of the valid ones, it must read all of them.
 
 Types are u8, u16, i32, i64, f32, f64, and bit: eight to a byte, the lowest bit first, the last byte
 filled with zeros. Symbols reach 2^31 and mu_units 2^34; they are stored as i64 where i32 is too
@@ -47,7 +45,8 @@ from pathlib import Path
 import numpy as np
 
 from .context import hash_feature
-from .file import NETWORK_SECTIONS, network_numbers
+from .file import NETWORK_SECTIONS
+from .plain import network_numbers
 
 FOLDER = Path(__file__).with_name("streams_v1")
 TYPES = {"u8": "u1", "u16": "<u2", "i32": "<i4", "i64": "<i8", "f32": "<f4", "f64": "<f8"}

@@ -1,57 +1,40 @@
 """From a trained model to the integers of its file, and to the model that a decoder finds there."""
 
 from dataclasses import replace
-from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
 
+from ..attributes import ATTRIBUTES, GROUPS
 from ..equations import mlp, rounding
-from ..model import (
-    ANCHOR_NETWORKS,
-    GROUPS,
-    Anchors,
-    Model,
-    first_steps,
-    groups,
-    join,
-    snap,
-    split,
-    step_of_code,
-)
-from ..scenes.scene import LARGEST_BOX, MOST_STEPS
-from .container import BitstreamError
+from ..model import ANCHOR_NETWORKS, Anchors, Model, groups, join, snap, split
+from .container import BitstreamError, EncodeError, require_encodable
 from .context import CodingContext, coding_context
-from .header import read_header, write_header
-from .version_2 import codes_of
-
-BOX = f"lo <= hi, finite, within +-{LARGEST_BOX:g}"  # what the box of a file must be
-
-
-class EncodeError(ValueError):
-    """A model that the format cannot hold; the message names the array and what was expected."""
-
-
-def require_encodable(holds, message):
-    """Raise EncodeError unless a condition holds."""
-    if not holds:
-        raise EncodeError(message)
+from .plain import BOX, PLAIN, valid_box
 
 
 class Quantised(NamedTuple):
     """A model as its file holds it."""
 
     model: Model  # every array as a decoder will have it, float64
-    positions: np.ndarray  # [A, 3]  0 to 65535 in both versions, int64
+    positions: np.ndarray  # [A, 3]  0 to 65535, int64
     symbols: np.ndarray  # [A, n]  int64, columns as `model.join`; 0 where nothing is coded
     kept: np.ndarray  # [A, n]  bool: which symbols are coded; those of masked children are not
     context: CodingContext
 
 
-def coded(mask, design):
-    """Which columns of `model.join` a file holds [A, n]: all but the offsets of masked children."""
-    always = np.ones((len(mask), sum(design.widths[:3])), bool)
-    return np.concatenate([always, np.repeat(mask, 3, axis=1)], axis=1)
+def coded_columns(mask, design):
+    """Which columns of `model.join` a file holds [A, n]: all but the numbers of masked children."""
+    parts = zip(ATTRIBUTES, design.widths)
+    return np.concatenate(
+        [
+            np.repeat(mask, width // design.k, axis=1)
+            if row.per_child
+            else np.ones((len(mask), width), bool)
+            for row, width in parts
+        ],
+        axis=1,
+    )
 
 
 def dequantise(symbols, ctx, design):
@@ -62,40 +45,46 @@ def dequantise(symbols, ctx, design):
     return split(values, design)
 
 
-def quantise(model):
+def quantise(model, form=PLAIN):
     """Round a model to what its file will hold. P-4DGS Eq. (10); choices Q14, Q15, Q18, Q19.
 
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
-    and masked numbers may have any value; all others must be finite. The coded design sorts the
-    anchors (`version_2.py`).
+    and masked numbers may have any value; all others must be finite.
 
     Raises EncodeError, which names the array, and OverflowError, which names the element, where
     |f / q| is more than 2^31.
     """
     check_shapes(model)
-    alive = model.anchors.mask.any(axis=1)
-    alive[0] |= not alive.any()
-    anchors = Anchors(*(array[alive] for array in model.anchors))
-    box = round_box(model.box)
-    steps = (model.steps or first_steps(model.networks)) if model.design.coded else None
-    networks = round_networks(model.networks, steps)
+    anchors, box = with_children(model.anchors), round_box(model.box)
+    networks = form.round_networks(model)
     grids = [
         np.where(finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
     ]
     background = np.array(model.background, float)
-    design = as_decoded(replace(model, anchors=anchors, background=background))
-    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box, design.position_bits)
-    if design.coded:
-        order = codes_of(positions, box, design.position_bits).argsort(kind="stable")
-        positions, x_a = positions[order], x_a[order]
-        anchors = Anchors(*(array[order] for array in anchors))
-    ctx, kept = coding_context(design, networks, grids, positions), coded(anchors.mask, design)
+    design = as_decoded(replace(model, anchors=anchors, background=background), form)
+    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box)
+    kept = coded_columns(anchors.mask, design)
+    ctx = coding_context(design, networks, grids, positions)
     symbols = round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
-    anchors = Anchors(x_a, *dequantise(symbols, ctx, design), anchors.mask)
-    rounded = Model(design, anchors, networks, grids, box, background, steps)
+    rounded = replace(
+        model,
+        design=design,
+        anchors=Anchors(x_a, *dequantise(symbols, ctx, design), anchors.mask),
+        networks=networks,
+        grids=grids,
+        box=box,
+        background=background,
+    )
     return Quantised(without_silent_units(rounded), positions, symbols, kept, ctx)
+
+
+def with_children(anchors):
+    """The anchors that have a child, or the first one where none has."""
+    alive = anchors.mask.any(axis=1)
+    alive[0] |= not alive.any()
+    return Anchors(*(array[alive] for array in anchors))
 
 
 def without_silent_units(model):
@@ -128,7 +117,7 @@ def without_silent_units(model):
             [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
             [b[after] for b, after in zip(biases, columns)],
         )
-    smaller = replace(model, design=model.design._replace(hidden=widths), networks=networks)
+    smaller = replace(model, design=replace(model.design, hidden=widths), networks=networks)
     return model if widths == tuple(model.design.hidden) else without_silent_units(smaller)
 
 
@@ -136,34 +125,6 @@ def active_units(model, name):
     """For every hidden layer of an anchor network, which units are positive for some anchor."""
     _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
     return [units.any(axis=0) for units in layer_inputs[1:]]
-
-
-def round_networks(networks, steps):
-    """Networks as the file holds them, float64 arrays in row order: as a decoder has them.
-
-    They are rounded to float16 (Q18), or to multiples of their tensors' steps (B1) where there are
-    codes of steps, as in `Model.steps`. Raises EncodeError, which names the network.
-    """
-    rounded = {}
-    for name, pair in networks.items():
-        codes = steps[name] if steps else [repeat(None)] * 2
-        rounded[name] = tuple([*map(round_weights, *part)] for part in zip(pair, codes))
-        require_encodable(
-            all(np.isfinite(a).all() for arrays in rounded[name] for a in arrays),
-            f"network {name}: expected finite weights within float16's range, +-65504, or of at "
-            f"most {MOST_STEPS} steps in the coded design",
-        )
-    return rounded
-
-
-def round_weights(weights, code):
-    """An array of weights as a file holds it; not finite where it cannot."""
-    if code is None:
-        with np.errstate(over="ignore"):
-            return np.array(weights, np.float16, order="C").astype(float)
-    step = step_of_code(code)
-    n = np.rint(np.array(weights, order="C") / step) + 0.0
-    return np.where(np.abs(n) <= MOST_STEPS, n * step, np.nan)
 
 
 def round_attributes(values, q, design):
@@ -196,16 +157,10 @@ def round_box(box):
     return lo, hi
 
 
-def valid_box(lo, hi):
-    """Whether a file may hold this box; False for NaN."""
-    # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
-    return (np.abs([lo, hi]) < np.float32(LARGEST_BOX)).all() and (lo <= hi).all()
-
-
-def as_decoded(model):
+def as_decoded(model, form):
     """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
     try:
-        return read_header(write_header(model), 1 + model.design.coded)[0]
+        return form.read_header(form.write_header(model))[0]
     except BitstreamError as error:
         raise EncodeError(f"design: {error.message}") from None
 
@@ -215,10 +170,7 @@ def check_shapes(model):
     design, A = model.design, len(model.anchors.mask)
     expected = {
         "anchors x_a": (A, 3),
-        "anchors f_a": (A, design.d),
-        "anchors s_a": (A, 3),
-        "anchors l_a": (A, 3),
-        "anchors O_a": (A, design.k, 3),
+        **{f"anchors {row.name}": (A, *row.sizes(design)) for row in ATTRIBUTES},
         "anchors mask": (A, design.k),
         "hash grid": design.levels(),
         **{
@@ -226,7 +178,7 @@ def check_shapes(model):
             for name, pairs in design.layers().items()
         },
     }
-    found = {
+    shapes = {
         **{f"anchors {name}": array.shape for name, array in model.anchors._asdict().items()},
         "hash grid": [grid.shape for grid in model.grids],
         **{
@@ -234,10 +186,10 @@ def check_shapes(model):
             for name, pair in model.networks.items()
         },
     }
-    for name in {**expected, **found}:
+    for name in {**expected, **shapes}:
         require_encodable(
-            found.get(name) == expected.get(name),
-            f"{name}: expected {expected.get(name)} as the design says, got {found.get(name)}",
+            shapes.get(name) == expected.get(name),
+            f"{name}: expected {expected.get(name)} as the design says, got {shapes.get(name)}",
         )
     require_encodable(
         model.anchors.mask.dtype == bool and A,

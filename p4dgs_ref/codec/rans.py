@@ -290,7 +290,7 @@ def pop_rows_plainly(states, words, tables, keys, entries):
     first = keys.searchsorted(np.arange(0, keys[-1] + 1, CERTAIN))  # entry of every table
     states, lanes = [*states], range(len(states))
     for a in range(0, len(tables), PIECE):
-        stack, found = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
+        stack, popped = words[:PIECE][::-1].tolist(), []  # a symbol takes one word at most
         given, used = len(stack), tables[a : a + PIECE]
         lows, highs = first[used].tolist(), first[1:][used].tolist()
         for lane, low, high in zip(cycle(lanes), lows, highs):
@@ -301,8 +301,8 @@ def pop_rows_plainly(states, words, tables, keys, entries):
             if x < LOWEST:
                 x = x << WORD | stack.pop()
             states[lane] = x
-            found.append(entry)
-        entries[a : a + PIECE] = found
+            popped.append(entry)
+        entries[a : a + PIECE] = popped
         words = words[given - len(stack) :]
     return states, words
 

@@ -1,5 +1,23 @@
 """The two kinds of entropy-coded sections: Gaussian streams and bit streams.
 
+Three values of an attribute become a stream, given their step q and the Gaussian that the context
+predicts for them, and are decoded from it:
+
+    >>> import numpy as np
+    >>> from p4dgs_ref.codec.streams import decode_gaussian, encode_gaussian
+    >>> f, q = np.array([0.1, 2.6, -20.1]), 0.5
+    >>> mu, sigma = 0.15, 0.75
+    >>> symbols = np.rint(f / q).astype(np.int64)  # 0, 5, -40: Eq. (10)
+    >>> mu_units = np.full(3, round(1024 * mu / q))
+    >>> sigma_units = np.full(3, round(16 * np.log2(sigma / q)))
+    >>> data = encode_gaussian(symbols, mu_units, sigma_units)
+    >>> data.hex(" ")
+    '80 cb 67 86 a4 03 00 00 00 ff ff ff 00 a0 05'
+    >>> (decode_gaussian(data, mu_units, sigma_units) * q).tolist()
+    [0.0, 2.5, -20.0]
+
+In a file, sender and receiver compute mu_units and sigma_units in integers alone (`context.py`).
+
 GAUSSIAN STREAM. It holds n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder already
 knows. The stream of no symbols is empty. Otherwise it has two parts:
 
@@ -25,7 +43,7 @@ that all bits are zero and f = 2^24 that all are one; nothing follows. For any o
 message of the n bits follows. Its only table has the keys 0, 2^24 - f, 2^24: entry 0 is a zero,
 entry 1 a one. An encoder takes f = max(floor(ones * 2^24 / n), 1), and 0 where there are no ones.
 
-Worked numbers. The symbols 0, 5 and -40 each have mu_units = 307 and sigma_units = 9, so c = 0 and
+Worked numbers. The symbols 0, 5 and -40 above have mu_units = 307 and sigma_units = 9, so c = 0 and
 W = 13 (`gaussian_table.py`). -40 is coded as an escape with v = 2 (-13 + 40) = 54 = 2^5 + 22: its
 raw bits are 00000 1 01101, the bytes A0 05. The whole stream is
 
@@ -36,7 +54,7 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
-from ..scenes.scene import MOST_SYMBOL
+from ..scenes.scene import MAX_SYMBOL
 from . import rans
 from .container import require
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
@@ -89,7 +107,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
         symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
         at += len(low)
         require(
-            np.abs(symbols[rows]).max() <= MOST_SYMBOL,
+            np.abs(symbols[rows]).max() <= MAX_SYMBOL,
             section,
             start,
             "a symbol beyond +-2^31",

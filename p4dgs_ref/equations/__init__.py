@@ -12,8 +12,6 @@ Entropy coding predicts the bits of the anchors: `noise` (7), `step` (8), `grid_
 The training objective weighs the bits against the error of the image: `total_loss` (15), `window`,
 `ssim` and `render_loss` (16), `rate_loss` (17).
 
-Beyond the paper, `weight_bits` (B1) says what the weights of networks cost.
-
 `mlp` is the network behind every psi. `numerics` has the functions whose textbook form loses
 digits. `p4dgs_ref.table` lists the equations with their formulas.
 """

@@ -43,10 +43,10 @@ def backward(saved, R_hash_bar):
 def entropy(n_pos, n_neg):
     """Bits of n_pos signs of one kind and n_neg of the other; the counts need not be integers.
 
-    -log p is computed as log(1 + other / own): the logarithm of a p close to 1 loses digits.
+    -log p is computed as log(1 + other / n): the logarithm of a p close to 1 loses digits.
     """
     bits = 0
-    for own, other in ((n_pos, n_neg), (n_neg, n_pos)):
-        if own:
-            bits += own * math.log1p(other / own)
+    for n, other in ((n_pos, n_neg), (n_neg, n_pos)):
+        if n:
+            bits += n * math.log1p(other / n)
     return bits / math.log(2)

@@ -29,6 +29,13 @@ PHI_0 = 1 / np.sqrt(2 * np.pi)  # density of the standard Gaussian at its mean
 TO_BITS = -1 / np.log(2)  # from log p to bits
 
 
+def literal(f_noisy, mu, sigma, q):
+    """Eq. (11) as printed, in the precision of the inputs."""
+    above = ndtr((f_noisy + q / 2 - mu) / sigma)
+    below = ndtr((f_noisy - q / 2 - mu) / sigma)
+    return -np.log2(above - below)
+
+
 def forward(
     f_noisy,  # [A, n]  value to code (units of the attribute)
     mu,  # [A, n]  predicted mean
@@ -62,13 +69,6 @@ def backward(saved, bits_bar):
         "sigma": bits_bar * sigma_slope,
         "q": bits_bar * q_slope,
     }
-
-
-def literal(f_noisy, mu, sigma, q):
-    """Eq. (11) as printed, in the precision of the inputs."""
-    above = ndtr((f_noisy + q / 2 - mu) / sigma)
-    below = ndtr((f_noisy - q / 2 - mu) / sigma)
-    return -np.log2(above - below)
 
 
 def rate(f_noisy, mu, sigma, q):

@@ -36,14 +36,19 @@ def forward(
 def backward(saved, ssim_bar):
     """Gradient of the image; smooth everywhere and exactly 0 where the images are equal."""
     x, e, mu_x, mu_e, luminance, structure, D1, D2, dtype = saved
+    # In the forward SSIM = mean of (1 - luminance) (1 - structure), so each of the two gets minus
+    # the other factor.
     share = ssim_bar / x.size
+    # In the forward structure = (square_e - mu_e**2) / D2, so square_e gets 1 / D2, and square_x,
+    # which is a term of D2 alone, gets -structure / D2.
     square_e_bar = -share * (1 - luminance) / D2
-    square_x_bar = -structure * square_e_bar  # x**2 is part of the denominator alone
-    # mu_e and mu_x move together. Per unit of both, luminance grows by 2 (mu_e - luminance mu_x) /
-    # D1 and structure by 2 (structure mu_x - mu_e) / D2.
+    square_x_bar = -structure * square_e_bar
+    # In the forward mu_x = mu_y + mu_e, so both grow alike: luminance by 2 (mu_e - luminance mu_x)
+    # / D1 per unit, structure by 2 (structure mu_x - mu_e) / D2.
     luminance_bar = -share * (1 - structure)
     mu_bar = 2 * luminance_bar * (mu_e - luminance * mu_x) / D1
     mu_bar += 2 * square_e_bar * (structure * mu_x - mu_e)
+    # In the forward all three are windows of e, e**2 and x**2, and a window is its own adjoint.
     blurred = blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1)).swapaxes(0, 1)
     image_bar = blurred[0] + 2 * (e * blurred[1] + x * blurred[2])
     return {"image": image_bar.transpose(0, 2, 1).astype(dtype, order="C")}

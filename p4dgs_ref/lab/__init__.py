@@ -3,3 +3,10 @@
 
 class StudyError(ValueError):
     """A mistake in what a study is asked for: one line with its name and what was expected."""
+
+
+def entry(table, kind, name):
+    """The entry of a table by its name. Raises StudyError with the known names for another one."""
+    if name not in table:
+        raise StudyError(f"{kind} {name!r}: expected one of {', '.join(table)}")
+    return table[name]

@@ -7,18 +7,18 @@ from functools import partial
 import numpy as np
 
 from ..arithmetic import arithmetic
-from ..codec.file import decode, encode
 from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
 from ..codec.streams import decode_gaussian, encode_gaussian
+from ..designs import decode, encode
 from ..scenes import load_scene
 from ..splatting.settings import EXACT, FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
-from .accuracy.forms import draw, in_units, message, splat_scene
+from .accuracy.forms import image_and_gradients, message, splat_scene
 from .clock import alternate, disturbance, stretch_of
-from .writer import table
+from .writer import text_table
 
 REPEATS = 5  # turns of everything, and steps that are watched
 COLUMNS = {
@@ -44,29 +44,30 @@ def by_equation(step):
     """{equation: ms} of one step; an equation that runs inside another one counts with it."""
     ms, started = Counter(), []
 
-    def see(event, mark, frame, value):
+    def time_calls(event, mark, frame, value):
         if event == "call":
             started.append(time.process_time())
         elif (begin := started.pop()) and not started:
             ms[mark[0]] += 1e3 * (time.process_time() - begin) / REPEATS
 
-    with watching(equation_codes(), see):
+    with watching(equation_codes(), time_calls):
         for _ in range(REPEATS):
             step()
     return dict(ms.most_common())
 
 
 def bench(quick=False):
-    """The rows that the command `bench` prints, and how far the machine was disturbed."""
+    """The rows that `python -m p4dgs_ref.lab` prints, and how far the machine was disturbed."""
     n, count, steps = (300, 2000, 20) if quick else (1000, 200_000, 600)
     trainer, splats, (symbols, mu, sigma) = trained(steps), splat_scene(n, 64), message(count)
-    units = in_units(mu, MU_BITS, MU_BITS), in_units(np.log2(sigma), SIGMA_BITS, SIGMA_BITS)
+    scaled = mu * 2.0**MU_BITS, np.log2(sigma) * 2.0**SIGMA_BITS
+    units = [np.rint(values).astype(np.int64) for values in scaled]
     model, sent = trainer.model(), (symbols, *units)
     file, coded = encode(model), (encode_gaussian(*sent), *units)
     # A function and its readable twin, if it has one.
     places = {
         f"render {n:,} Gaussians, 64x64, with gradients": [
-            partial(draw, splats, settings) for settings in (FAST, EXACT)
+            partial(image_and_gradients, splats, settings) for settings in (FAST, EXACT)
         ],
         f"encode {count:,} symbols": [
             partial(encode_gaussian, *sent),
@@ -93,7 +94,7 @@ def bench(quick=False):
     return {"arithmetic": arithmetic(), "rows": [*rows, *parts], "stretch": stretch}
 
 
-def describe(result):
+def to_text(result):
     """The benchmark as text."""
     note = (
         "Below the step are its equations, forward and backward; watching them adds a little to "
@@ -101,7 +102,7 @@ def describe(result):
     )
     return "\n".join(
         [
-            *table(COLUMNS, result["rows"]),
+            *text_table(COLUMNS, result["rows"]),
             note,
             f"{result['arithmetic']}.",
             disturbance(result["stretch"]),

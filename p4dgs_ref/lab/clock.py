@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROUND = 0.3  # seconds; shorter rounds are repeated more often: other programs disturb them more
-DISTURBED = 1.1  # the wall clock's seconds over the processor's
+ROUND_SECONDS = 0.3  # shorter rounds are repeated more often: other programs disturb them more
+MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, where nothing disturbs
 
 
 def clocks():
@@ -56,7 +56,7 @@ def alternate(functions, repeats, clocked=clocked):
     """
     spent = sum(clocked(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}
-    for _ in range(round(repeats * np.clip(ROUND / spent, 1, 5))):
+    for _ in range(round(repeats * np.clip(ROUND_SECONDS / spent, 1, 5))):
         for name, function in functions.items():
             turns[name].append(clocked(function)[1])
     return {name: times_of(seconds) for name, seconds in turns.items()}
@@ -76,7 +76,7 @@ def stretch_of(rows):
 
 def disturbance(stretch):
     """A sentence where other programs disturbed the measurement, else nothing."""
-    if stretch <= DISTURBED:
+    if stretch <= MAX_STRETCH:
         return ""
     return (
         f"Disturbed: the wall clock ran {stretch:.2g} times as fast as the processor's, so "

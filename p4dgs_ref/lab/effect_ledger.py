@@ -14,22 +14,20 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import effects as fx
-from ..codec.file import decode, encode
+from ..designs import choose, decode, encode, trainer_of
 from ..model import declared_numbers
 from ..report.evaluate import evaluate
 from ..report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
 from ..report.jobs import in_processes
 from ..scenes.scene import MODEL_EFFECTS
-from ..training.presets import choose
-from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
 from .accuracy.harness import shortened, step_at
 from .clock import alternate
-from .writer import table
+from .writer import text_table
 
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
-SEES = {  # the effect that an equation of an anchor's networks looks at
+VIEW_EFFECTS = {  # the effect for which an equation of the anchor networks reads the view
     **dict.fromkeys(("opacity", "rotation", "scale"), "view_geometry"),
     "color": "view_color",
 }
@@ -44,7 +42,6 @@ COLUMNS = {
     "work off": "{work_off:,}",
     "worth dB": "{worth_db:+.2f}",
 }
-TOO_FEW = "\n\n45 steps of the preset smoke: too few for the PSNR to mean anything"
 UNITS = "ms per step, multiply-adds of its forward; PSNR with it minus without it, test views"
 
 
@@ -61,21 +58,21 @@ def counted():
     """A `with` block that gives the Work of the equations that are called in it."""
     work = Work(Counter(), Counter())
 
-    def see(event, mark, frame, value):
+    def count(event, mark, frame, value):
         if event == "return":
             work.calls[mark] += 1
             if mark[1] == "forward":
                 work.multiply_adds.update(multiply_adds(mark[0], value[1]))
 
-    with watching(equation_codes(), see):
+    with watching(equation_codes(), count):
         yield work
 
 
 def multiply_adds(key, saved):
     """{effect: multiply-adds} of a forward, from what it returns for its backward."""
-    if key in SEES:
+    if key in VIEW_EFFECTS:
         (inputs, weights), d = saved[-1]
-        return {SEES[key]: inputs[0][:, d:].size * weights[0].shape[1]}
+        return {VIEW_EFFECTS[key]: inputs[0][:, d:].size * weights[0].shape[1]}
     if key == "deformation":
         _, _, (inputs, (*trunk, last)), cuts = saved
         heads = dict(zip(fx.MOTION, np.split(last, cuts, axis=1)))
@@ -94,7 +91,7 @@ def effect_bytes(data):
     design = decode(data).design
 
     def size(effects):
-        return 2 * declared_numbers(design._replace(effects=effects), 0)["networks"]
+        return 2 * declared_numbers(replace(design, effects=effects), 0)["networks"]
 
     without = {effect: [e for e in design.effects if e != effect] for effect in MODEL_EFFECTS}
     return {effect: size(design.effects) - size(others) for effect, others in without.items()}
@@ -109,7 +106,7 @@ def switched(scene, effect):
 def train_alone(task):
     """Train one build: its file, PSNR, and of each effect the bytes and the work of a last step."""
     scene, preset, seed = task
-    trainer = Trainer(scene, preset, seed)
+    trainer = trainer_of(scene, preset, seed)
     with np.errstate(all="ignore"):  # an overflow stops training with its own message
         while trainer.iteration < preset.iterations - 1:
             trainer.step()
@@ -151,31 +148,31 @@ def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, 
     """
     preset = shortened(choose(preset, changes), share)
     builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
-    built, rows = train_all(builds, preset, seed, progress, jobs), []
-    for effect in MODEL_EFFECTS:
-        on, off = built[AS_LISTED], built[effect]
-        if effect not in scene.effects:
-            on, off = off, on
-        rows.append(
-            {
-                "effect": effect,
-                "called_for": effect in scene.effects,
-                "ms_on": on["ms"],
-                "ms_off": off["ms"],
-                "bytes_on": on["bytes"][effect],
-                "bytes_off": off["bytes"][effect],
-                "work_on": on["work"][effect],
-                "work_off": off["work"][effect],
-                "worth_db": on["psnr_db"] - off["psnr_db"],
-            }
-        )
-    return rows
+    built = train_all(builds, preset, seed, progress, jobs)
+    listed = built[AS_LISTED]
+    return [
+        {
+            "effect": effect,
+            "called_for": effect in scene.effects,
+            "ms_on": on["ms"],
+            "ms_off": off["ms"],
+            "bytes_on": on["bytes"][effect],
+            "bytes_off": off["bytes"][effect],
+            "work_on": on["work"][effect],
+            "work_off": off["work"][effect],
+            "worth_db": on["psnr_db"] - off["psnr_db"],
+        }
+        for effect in MODEL_EFFECTS
+        for on, off in [
+            (listed, built[effect]) if effect in scene.effects else (built[effect], listed)
+        ]
+    ]
 
 
-def describe(rows, quick=False):
+def to_text(rows):
     """The ledger as text, a line per effect."""
-    lines = table(COLUMNS, [{**r, "called_for": "yes" if r["called_for"] else "no"} for r in rows])
-    return "\n".join([*lines, "", UNITS]) + TOO_FEW * quick
+    cells = [{**row, "called_for": "yes" if row["called_for"] else "no"} for row in rows]
+    return "\n".join([*text_table(COLUMNS, cells), "", UNITS])
 
 
 def draw_ledger(path, rows):

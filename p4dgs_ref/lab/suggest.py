@@ -4,7 +4,7 @@ What an effect looks at, the time of a view or the place of its camera, tells so
 picture only where the effect plays a part. Training begins with these values shuffled among the
 views. After half of the iterations it goes on twice, once with these and once with the true
 values. Both see the views in the same order, so without the effect neither has an advantage. They
-are compared on views that neither has seen. Occlusion is trained with and without it.
+are compared on views that were kept back from both. Occlusion is trained with and without it.
 
 An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
 model with an effect too few is wrong.
@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import effects as fx
-from ..report.evaluate import decibel, squared_error
 from ..report.jobs import in_processes
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting.camera import Camera
+from ..training.loop import psnr
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from .accuracy.harness import step_at
@@ -33,22 +33,22 @@ PAIRS = {
     "view_geometry": (450, 2),
     "occlusion": (120, 1),
 }
-BACK = 6  # one view of so many is kept back
-FEWEST = 2 * BACK  # views; with fewer nothing can be kept back
-WORTH = 0.2  # dB; effects that gain less are not worth their bytes
-VIEW = ("view_color", "view_geometry")
+HOLD_OUT_EVERY = 6  # one view of so many is kept back
+MIN_VIEWS = 2 * HOLD_OUT_EVERY  # with fewer nothing can be kept back
+MIN_GAIN = 0.2  # dB; effects that gain less are not worth their bytes
+OF_VIEW = ("view_color", "view_geometry")
 
 
 @dataclass(frozen=True)
-class SeenFrom(Camera):
-    """A camera whose place, as the networks are told it, is not its own."""
+class MisplacedCamera(Camera):
+    """A camera that gives the networks the place of another one."""
 
-    told: np.ndarray | None = None
+    place: np.ndarray | None = None
 
     @property
     def center(self):
-        """The place that the networks are told."""
-        return self.told
+        """The place of the other camera."""
+        return self.place
 
 
 def planned(scene):
@@ -58,7 +58,7 @@ def planned(scene):
         (scene, moving, effect, fold, iterations)
         for effect, (iterations, count) in PAIRS.items()
         for fold in range(count)
-        if len(scene.train) >= FEWEST and (moving or effect not in fx.MOTION)
+        if len(scene.train) >= MIN_VIEWS and (moving or effect not in fx.MOTION)
     ]
 
 
@@ -67,7 +67,7 @@ def steps_of(tasks):
     return sum((2 if effect == "occlusion" else 1.5) * n for _, _, effect, _, n in tasks)
 
 
-def foretold(scene, jobs=1):
+def seconds_of(scene, jobs=1):
     """About how many seconds `suggest` takes, judging by steps in which things move."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
     ms = alternate({"step": step}, 5)["step"].median
@@ -85,21 +85,20 @@ def suggest(scene, progress=lambda line: None, jobs=1):
     for (_, _, effect, *_), gain in zip(tasks, in_processes(paired, tasks, jobs)):
         gains[effect].append(gain)
         progress(f"{effect}: {sum(map(len, gains.values()))} of {len(tasks)} pairs")
-    said = {effect: verdict(effect, found, len(views)) for effect, found in gains.items()}
+    answers = {effect: verdict(effect, pairs, len(views)) for effect, pairs in gains.items()}
     if len({view.time for view in views}) == 1:
-        said["translation"] = "no", f"all {len(views)} views have the time {views[0].time:g}"
-    rest = said["translation"]
-    if rest[0] == "yes":
-        rest = "cannot tell", f"something moves; {len(views)} views do not show how"
-    said |= {"rotation": rest, "scaling": rest, "background": background(views, scene.background)}
+        answers["translation"] = "no", f"all {len(views)} views have the time {views[0].time:g}"
+    motion = answers["translation"]
+    if motion[0] == "yes":
+        motion = "cannot tell", f"something moves; {len(views)} views do not show how"
+    answers |= {
+        **dict.fromkeys(("rotation", "scaling"), motion),
+        "background": background(views, scene.background),
+    }
     return [
-        {
-            "effect": e,
-            "called_for": said[e][0] != "no",
-            "verdict": said[e][0],
-            "evidence": said[e][1],
-        }
-        for e in MODEL_EFFECTS
+        {"effect": name, "called_for": answer != "no", "verdict": answer, "evidence": evidence}
+        for name in MODEL_EFFECTS
+        for answer, evidence in [answers[name]]
     ]
 
 
@@ -109,8 +108,8 @@ def paired(task):
     views, effects = scene.train, {*moving, "occlusion", "background", effect}
     if effect == "occlusion":
         with_it, without_it = (
-            scores(scene, views, [views], chosen, fold, iterations)[0]
-            for chosen in (effects, effects - {effect})
+            scores(scene, views, [views], switched, fold, iterations)[0]
+            for switched in (effects, effects - {effect})
         )
     else:
         dealt = shuffled(views, effect, fold)
@@ -124,7 +123,7 @@ def shuffled(views, effect, seed):
     if effect in fx.MOTION:
         return [replace(view, time=theirs.time) for view, theirs in zip(views, other)]
     return [
-        replace(view, camera=SeenFrom(**vars(view.camera), told=theirs.camera.center))
+        replace(view, camera=MisplacedCamera(**vars(view.camera), place=theirs.camera.center))
         for view, theirs in zip(views, other)
     ]
 
@@ -132,7 +131,8 @@ def shuffled(views, effect, seed):
 def short(iterations):
     """`tiny` without noise and rate: in its first half nothing moves and anchors grow."""
     half = iterations // 2
-    return TINY._replace(
+    return replace(
+        TINY,
         stage_ends=(half, half, iterations, iterations),
         decay_from=half,
         grow_from=iterations // 12,
@@ -148,24 +148,25 @@ def scores(scene, first, seconds, effects, fold, iterations):
     The first half of a short training is given the views `first`, the second half those of one of
     the `seconds`.
     """
-    back = range(fold, len(first), BACK)
+    held_out = range(fold, len(first), HOLD_OUT_EVERY)
 
-    def begun(views):
-        seen = [view for i, view in enumerate(views) if i not in back]
-        return Trainer(replace(scene, train=seen, effects=tuple(effects)), short(iterations), fold)
+    def trainer_of(views):
+        kept = [view for i, view in enumerate(views) if i not in held_out]
+        return Trainer(replace(scene, train=kept, effects=tuple(effects)), short(iterations), fold)
 
-    trainer, found = begun(first), []
+    trainer, results = trainer_of(first), []
     with np.errstate(all="ignore"):
         while trainer.iteration < iterations // 2:
             trainer.step()
         arrays, values = trainer.state()
         for views in seconds:
-            other = begun(views)
+            other = trainer_of(views)
             other.restore({name: np.copy(a) for name, a in arrays.items()}, values)
-            model = other.run()
-            drawn = [(model.render(v.camera, v.time), v.image) for v in (views[i] for i in back)]
-            found.append(np.array([decibel(squared_error(*pair)) for pair in drawn]))
-    return found
+            model, judged = other.run(), [views[i] for i in held_out]
+            results.append(
+                np.array([psnr(model.render(v.camera, v.time), v.image) for v in judged])
+            )
+    return results
 
 
 def verdict(effect, gains, count):
@@ -175,15 +176,15 @@ def verdict(effect, gains, count):
     the two errors counts.
     """
     if not gains:
-        return "cannot tell", f"{count} views are too few to keep some back; expected {FEWEST}"
+        return "cannot tell", f"{count} views are too few to keep some back; expected {MIN_VIEWS}"
     pairs, gains = [np.mean(pair) for pair in gains], np.concatenate(gains)
     mean, error = gains.mean(), max(gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2)
     # Effects of the view are learned late: a short training shows about half of their worth.
-    least = WORTH / 2 if effect in VIEW else WORTH
-    found = "no" if mean + 2 * error < least else "cannot tell"
-    if mean - 3 * error > WORTH:
-        found = "yes"
-    return found, f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back"
+    least = MIN_GAIN / 2 if effect in OF_VIEW else MIN_GAIN
+    answer = "no" if mean + 2 * error < least else "cannot tell"
+    if mean - 3 * error > MIN_GAIN:
+        answer = "yes"
+    return answer, f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back"
 
 
 def background(views, color):

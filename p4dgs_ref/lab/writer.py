@@ -8,8 +8,8 @@ over PSNR.
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-FEWEST = 3  # points of a curve
-LEAST_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
+MIN_POINTS = 3  # of a curve
+MIN_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
 
 
 def means(rows, *keys):
@@ -18,22 +18,22 @@ def means(rows, *keys):
     `name_spread` is half the range of the means of each seed. Fields that are no numbers, or that
     some row lacks, are left out.
     """
-    groups, found = {}, []
+    groups, result = {}, []
     for row in rows:
         groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
-    for values, own in groups.items():
-        seeds = sorted({row["seed"] for row in own})
-        found.append({**dict(zip(keys, values)), "seeds": len(seeds)})
-        for name in own[0]:
-            numbers = all(isinstance(row.get(name), (int, float)) for row in own)
-            if numbers and name not in (*keys, "seed"):
-                each = [np.mean([row[name] for row in own if row["seed"] == s]) for s in seeds]
-                found[-1][name] = float(np.mean(each))
-                found[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
-    return found
+    for values, group in groups.items():
+        seeds = sorted({row["seed"] for row in group})
+        result.append({**dict(zip(keys, values)), "seeds": len(seeds)})
+        for name in group[0]:
+            is_numeric = all(isinstance(row.get(name), (int, float)) for row in group)
+            if is_numeric and name not in (*keys, "seed"):
+                each = [np.mean([row[name] for row in group if row["seed"] == s]) for s in seeds]
+                result[-1][name] = float(np.mean(each))
+                result[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
+    return result
 
 
-def table(columns, rows):
+def text_table(columns, rows):
     """Lines of text, the first column to the left, the others to the right.
 
     `columns` is {heading: form}; a form is filled with the fields of a row. Fields that are None or
@@ -90,11 +90,12 @@ def bd_rate(points, others):
     """
     fronts = [front(curve) for curve in (points, others)]
     counts = [len(curve) for curve in fronts]
-    if min(counts) < FEWEST:
-        return None, f"curves of {counts[0]} and {counts[1]} points; at least {FEWEST} are needed"
+    if min(counts) < MIN_POINTS:
+        lengths = " and ".join(map(str, counts))
+        return None, f"curves of {lengths} points; at least {MIN_POINTS} are needed"
     ends = [(curve[0, 1], curve[-1, 1]) for curve in fronts]
     low, high = max(start for start, _ in ends), min(end for _, end in ends)
-    if high - low < LEAST_OVERLAP * min(end - start for start, end in ends):
+    if high - low < MIN_OVERLAP * min(end - start for start, end in ends):
         ranges = " and ".join(f"{start:.2f} to {end:.2f} dB" for start, end in ends)
         return None, f"the curves hardly overlap: {ranges}"
     logs = [
@@ -110,17 +111,14 @@ def factors(points, others):
     They are taken at equal PSNR, at every point of the two fronts that lies in the PSNRs from `low`
     to `high`, which both reach. Without any, the result is empty.
     """
-    measured = [psnr for curve in (points, others) for _, psnr in front(curve)]
-    found = {psnr: bytes_at(others, psnr) / bytes_at(points, psnr) for psnr in measured}
-    found = {float(psnr): ratio for psnr, ratio in found.items() if not np.isnan(ratio)}
-    if not found:
-        return {}
-    ratios = [*found.values()]
-    return {
-        "low": min(found),
-        "high": max(found),
-        "least": min(ratios),
-        "median": float(np.median(ratios)),
+    levels = [float(psnr) for curve in (points, others) for _, psnr in front(curve)]
+    ratios = {psnr: bytes_at(others, psnr) / bytes_at(points, psnr) for psnr in levels}
+    ratios = {psnr: ratio for psnr, ratio in ratios.items() if not np.isnan(ratio)}
+    return ratios and {
+        "low": min(ratios),
+        "high": max(ratios),
+        "least": min(ratios.values()),
+        "median": float(np.median([*ratios.values()])),
     }
 
 

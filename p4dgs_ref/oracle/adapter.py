@@ -45,11 +45,11 @@ from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
-LONGEST = 2**26  # bytes of an answer
+MAX_ANSWER_BYTES = 2**26
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3
-QUOTED = 300  # characters of stderr, or of a line that is no answer
+QUOTE_LENGTH = 300  # characters of stderr, or of a line that is no answer
 
 
 class AdapterError(ValueError):
@@ -68,7 +68,7 @@ class Adapter(contextlib.AbstractContextManager):
         if not self.command or shutil.which(self.command[0]) is None:
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
-        # The process, what it said of itself in its first line, and the tensors it is asked for.
+        # The process, what its first line says of it, and the tensors that it is asked for.
         self.child, self.says, self.asked = None, {}, ROLES
         self.lost = []  # the subject, or the start of the process, of each failure in a row
         self.last = None  # the last failure
@@ -117,8 +117,11 @@ class Adapter(contextlib.AbstractContextManager):
     @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
     def _packed(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
-        tensors = cast(case.tensors, self.dtype).items()
-        return {n.removeprefix(prefix): packed(a) for n, a in tensors if n.startswith(prefix)}
+        return {
+            name.removeprefix(prefix): packed(a)
+            for name, a in cast(case.tensors, self.dtype).items()
+            if name.startswith(prefix)
+        }
 
     def _ask(self, request, subject):
         """Return the answer to a request. Raises PortError, also where the port skips or fails.
@@ -126,8 +129,10 @@ class Adapter(contextlib.AbstractContextManager):
         After any other failure the process is ended, and the next case starts a new one.
         """
         if self.last and PATIENCE in (len({*self.lost}), self.lost.count(subject)):
-            said = f"not asked, after {PATIENCE} failures in a row; the last: {self.last}"
-            raise PortError(self.last.kind, said)
+            raise PortError(
+                self.last.kind,
+                f"not asked, after {PATIENCE} failures in a row; the last: {self.last}",
+            )
         stage = len(self.lost)  # a start; each has its own name, so that failed ones are counted
         try:
             if self.child is None:
@@ -137,9 +142,10 @@ class Adapter(contextlib.AbstractContextManager):
                 )
                 self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
-                need(
+                require(
                     isinstance(listed, list) and all(name in known for name in listed),
-                    f"subjects: expected a list of some of {', '.join(known)}, got {listed}",
+                    "subjects",
+                    f"expected a list of some of {', '.join(known)}, got {listed}",
                 )
             stage = subject
             named = subject in self.says.get("subjects", [subject])
@@ -162,10 +168,13 @@ class Adapter(contextlib.AbstractContextManager):
         assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
-        said = _short(repr(line[:QUOTED])[1:])
-        need(answer is not None, f"expected a line with a JSON object, got {said}")
+        require(
+            answer is not None,
+            "answer",
+            f"expected a line with a JSON object, got {_short(repr(line[:QUOTE_LENGTH])[1:])}",
+        )
         want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
-        need(got == want, f"expected {field} {want}, got {got}")
+        require(got == want, "answer", f"expected {field} {want}, got {got}")
         return answer
 
 
@@ -184,15 +193,16 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        pipes = self.process.stdin, self.process.stdout, self.process.stderr
-        self.stdin, self.stdout, stderr = filter(None, pipes)
+        self.stdin, self.stdout, stderr = filter(
+            None, (self.process.stdin, self.process.stdout, self.process.stderr)
+        )
         self.words = b""  # the end of stderr
         self.listener = threading.Thread(target=self._listen, args=[stderr], daemon=True)
         self.listener.start()
 
     def _listen(self, stderr):
         while part := stderr.read(2**16):
-            self.words = (self.words + part)[-4 * QUOTED :]
+            self.words = (self.words + part)[-4 * QUOTE_LENGTH :]
 
     def exchange(self, request, seconds):
         """Send a line and return the line that answers it.
@@ -205,8 +215,8 @@ class Child:
             asked = [self.stdin] if unsent else []
             readable, writable, _ = select.select([self.stdout], asked, [], left)
             if not left or not (readable or writable):
-                said = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                raise self._failure(line, PortError("hung", said))
+                late = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
+                raise self._failure(line, PortError("hung", late))
             if writable:
                 with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up
                     unsent = unsent[self.stdin.write(unsent[: select.PIPE_BUF]) :]
@@ -215,8 +225,11 @@ class Child:
                 if not part:
                     raise self._failure(line, PortError("died", "the process closed its pipes"))
                 line += part
-                said = f"expected a line of at most {LONGEST:,} bytes, got more"
-                need(len(line) <= LONGEST, said)
+                require(
+                    len(line) <= MAX_ANSWER_BYTES,
+                    "answer",
+                    f"expected a line of at most {MAX_ANSWER_BYTES:,} bytes, got more",
+                )
         return bytes(line)
 
     def _failure(self, line, running):
@@ -225,9 +238,12 @@ class Child:
             code = self.process.wait(0.5)
         except subprocess.TimeoutExpired:
             return running
-        how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        middle = ", in the middle of a line" if line else ""
-        return PortError("died", f"the process ended without an answer: {how}{middle}")
+        return PortError(
+            "died",
+            "the process ended without an answer: "
+            f"{f'killed by signal {-code}' if code < 0 else f'exit code {code}'}"
+            f"{', in the middle of a line' if line else ''}",
+        )
 
     def end(self, grace):
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
@@ -240,8 +256,8 @@ class Child:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)
             self.listener.join(1)  # another process may hold stderr
-        lines = self.words.decode(errors="replace").splitlines()
-        return " / ".join(line.strip() for line in lines if line.strip())[-QUOTED:]
+        lines = map(str.strip, self.words.decode(errors="replace").splitlines())
+        return " / ".join(filter(None, lines))[-QUOTE_LENGTH:]
 
 
 def packed(array):
@@ -256,12 +272,12 @@ def unpacked(answer, role):
     Raises PortError, kind nonsense, which names the array and what was expected.
     """
     fields = answer.get(role)
-    need(isinstance(fields, dict), f"field {role!r}: expected an object of arrays")
+    require(isinstance(fields, dict), f"field {role!r}", "expected an object of arrays")
     return {name: _array(f"{role}.{name}", field) for name, field in fields.items()}
 
 
 def _array(name, field):
-    need(isinstance(field, dict), f"{name}: expected the fields dtype, shape and data")
+    require(isinstance(field, dict), name, "expected the fields dtype, shape and data")
     try:
         return array_of(name, field, base64.b64decode(field.get("data"), validate=True))
     except TensorError as error:
@@ -270,12 +286,12 @@ def _array(name, field):
         raise PortError("nonsense", f"{name}: expected data in base64") from None
 
 
-def need(condition, message):
-    """Raise PortError where what a port said is none of the protocol's answers."""
+def require(condition, where, expected):
+    """Raise a PortError unless the condition holds: an answer breaks the protocol."""
     if not condition:
-        raise PortError("nonsense", message)
+        raise PortError("nonsense", f"{where}: {expected}")
 
 
-def _short(said):
-    text = str(said)
-    return text if len(text) <= QUOTED else text[:QUOTED] + " ..."
+def _short(message):
+    text = str(message)
+    return text if len(text) <= QUOTE_LENGTH else text[:QUOTE_LENGTH] + " ..."

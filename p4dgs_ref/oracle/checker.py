@@ -60,29 +60,20 @@ def check(forward, key, vjp=None, strict=False):
     return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), strict))
 
 
-def check_port(
-    port,
-    levels=(),
-    only=(),
-    progress=lambda text: None,
-    version=published.VERSIONS[-1],
-    strict=False,
-):
+def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `version` is
-    that of the vectors: cases that joined later are left out. `strict` is that of `check`.
+    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `strict` is that
+    of `check`.
     """
-    only = {only} if isinstance(only, str) else set(only)
-    manifest = published.read_manifest(version=version)
-    results = []
+    only, results = {only} if isinstance(only, str) else set(only), []
     for level in (level for level in LEVELS if not levels or level in levels):
         if level == "L3" and (not only or "codec" in only):
             from . import streams  # loads the codec
 
             progress("codec")
-            results += streams.check(port, {row["name"] for row in manifest["streams"]})
-        for subject in manifest["subjects"]:
+            results += streams.check(port)
+        for subject in published.subjects().values():
             names = {subject["key"], subject["equation"], subject.get("group")}
             if subject["level"] == level and (not only or names & only):
                 progress(subject["key"])
@@ -102,12 +93,14 @@ def check_subject(cases, port, strict=False):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
-    answers = [
-        evidence(case, got, result)
-        for case, (result, got) in zip(cases, judged)
-        if result.verdict in ("pass", "fail") and not result.recipe
-    ]
-    diagnoses = doctor.diagnose(cases[0].subject, answers)
+    diagnoses = doctor.diagnose(
+        cases[0].subject,
+        [
+            evidence(case, got, result)
+            for case, (result, got) in zip(cases, judged)
+            if result.verdict in ("pass", "fail") and not result.recipe
+        ],
+    )
     return [explained(r, diagnoses) for r in results]
 
 
@@ -162,8 +155,11 @@ def judge_answer(case, got, roles=ROLES, strict=False):
 
 def findings_of(case, got, names):
     """Return the findings of `compare` on some tensors of a case."""
-    tensors = {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names}
-    return compare(tensors, got, case.tolerance(precision(got)))
+    return compare(
+        {n: a for n, a in case.tensors.items() if n.removeprefix("scale.") in names},
+        got,
+        case.tolerance(precision(got)),
+    )
 
 
 def evidence(case, got, result):
@@ -191,12 +187,10 @@ def _shared(results):
     subject, that case contradicts it.
     """
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-
-    def shared(r):
-        source = sources.get(r.equation, r)
-        silent = r.findings and not (r.explanation or r.hint or r.recipe)
-        if silent and r.subject != source.subject:
-            return r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        return r
-
-    return [shared(r) for r in results]
+    return [
+        r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject
+        else r
+        for r in results
+        for source in [sources.get(r.equation, r)]
+    ]

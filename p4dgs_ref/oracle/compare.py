@@ -98,8 +98,8 @@ def expected(tensors):
 
 def precision(got):
     """Return the precision in which a port computes: float32 if any float tensor has it."""
-    types = {np.asarray(a).dtype.name for a in expected(got).values()}
-    return "float32" if "float32" in types else "float64"
+    is_single = any(np.asarray(a).dtype.name == "float32" for a in expected(got).values())
+    return "float32" if is_single else "float64"
 
 
 def too_wide(tensors, tolerance, precision):
@@ -141,15 +141,13 @@ def differences(want, got, tensors=None, tolerance=None):
 
     Without a tolerance, all bits of a float must agree.
     """
-    scales = {name: (tensors or {}).get("scale." + name) for name in want}
-    found = [
-        _difference(name, got.get(name), right, scales[name], tolerance)
+    findings = [
+        _difference(name, got.get(name), right, (tensors or {}).get("scale." + name), tolerance)
         for name, right in want.items()
     ]
-    extra = [name for name in got if name not in want]
     return [
-        *(finding for finding in found if finding),
-        *(Finding(name, "extra", "not expected in this case") for name in extra),
+        *filter(None, findings),
+        *(Finding(name, "extra", "not expected in this case") for name in got if name not in want),
     ]
 
 
@@ -170,8 +168,14 @@ def _difference(name, mine, right, scale, tolerance):
         return None
     index = tuple(int(i) for i in np.argwhere(wrong)[0])
     got, want = mine[index], right[index]
-    said = f"{_said(name, index, got, want)} ({int(wrong.sum())} of {wrong.size} numbers off)"
-    return Finding(name, "value", said, index, float(got), float(want))
+    return Finding(
+        name,
+        "value",
+        f"{_element(name, index, got, want)} ({int(wrong.sum())} of {wrong.size} numbers off)",
+        index,
+        float(got),
+        float(want),
+    )
 
 
 def _wrong_type(mine, right, exact):
@@ -179,12 +183,9 @@ def _wrong_type(mine, right, exact):
     is_whole = mine.dtype.kind in "iub"
     if right.dtype.kind == "f":
         types = [right.dtype.name] if exact else PRECISIONS
-        half = (
-            "; half precision is not judged, the vectors' page says why"
-            if mine.dtype.kind == "f"
-            else ""
-        )
-        return "" if mine.dtype.name in types else " or ".join(types) + half
+        of_half = "; half precision is not judged, the vectors' page says why"
+        expects = " or ".join(types) + of_half * (mine.dtype.kind == "f")
+        return "" if mine.dtype.name in types else expects
     if right.dtype.kind == "b":
         return "" if is_whole and np.isin(mine, (0, 1)).all() else "bool"
     return "" if is_whole else "integers"
@@ -195,7 +196,7 @@ def _bits(a, dtype):
     return a.astype(dtype).view(f"u{dtype.itemsize}") if dtype.kind == "f" else a
 
 
-def _said(name, index, got, want):
+def _element(name, index, got, want):
     """Return the message about one element, with enough digits to tell both numbers apart."""
     place = f"{name}{list(index) if index else ''}"
     if not isinstance(want, np.floating):
@@ -227,18 +228,18 @@ def _float_difference(name, mine, right, scale, tolerance):
     bound = tolerance["eps_S"]
     worst = tuple(int(i) for i in np.unravel_index(np.argmax(scaled), scaled.shape))
     largest = float(scaled[worst])
-    passes, said = largest <= bound, f"worst {largest:.3g} eps S, allowed {bound:g}"
+    passes, measure = largest <= bound, f"worst {largest:.3g} eps S, allowed {bound:g}"
     if name.split(".")[1] in IMAGES:
         rms, rms_bound = float(np.sqrt((scaled**2).mean())), tolerance["rms_eps_S"]
         passes &= rms <= rms_bound
-        said += f"; root mean square {rms:.3g}, allowed {rms_bound:g}"
+        measure += f"; root mean square {rms:.3g}, allowed {rms_bound:g}"
     if passes:
         return None
-    off = f"{int((scaled > bound).sum())} of {scaled.size} numbers off"
     return Finding(
         name,
         "value",
-        f"{_said(name, worst, mine[worst], right[worst])} ({off}; {said})",
+        f"{_element(name, worst, mine[worst], right[worst])} "
+        f"({int((scaled > bound).sum())} of {scaled.size} numbers off; {measure})",
         worst,
         float(mine[worst]),
         float(right[worst]),
@@ -300,11 +301,12 @@ def as_printed(case, got):
     stored = measured().get((case.id, precise), {})
     tensors = case.tensors | {n: a for n, a in stored.items() if n.startswith("scale.")}
     for name in stored.keys() - tensors.keys():
-        a, tensor = stored[name], name.removeprefix("range.")
-        own, scale = np.asarray(mine.get(tensor)), "scale." + tensor
-        if own.shape == a.shape and (own.dtype.name == precise or own.dtype.kind in "biu"):
-            least = np.finfo(precise).eps * case.tensors.get(scale, 0)
-            lost = a & ~(np.isfinite(own) & (np.abs(own) > least))
-            mine[tensor] = np.where(lost, tensors[tensor].astype(own.dtype), own)
+        beyond, tensor = stored[name], name.removeprefix("range.")
+        answer, scale = np.asarray(mine.get(tensor)), "scale." + tensor
+        is_judged = answer.dtype.name == precise or answer.dtype.kind in "biu"
+        if answer.shape == beyond.shape and is_judged:
+            unit = np.finfo(precise).eps * case.tensors.get(scale, 0)
+            lost = beyond & ~(np.isfinite(answer) & (np.abs(answer) > unit))
+            mine[tensor] = np.where(lost, tensors[tensor].astype(answer.dtype), answer)
             tensors[scale] = np.where(lost, np.inf, tensors.get(scale, 0))
     return case._replace(tensors=tensors), mine

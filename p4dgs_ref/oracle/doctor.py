@@ -26,9 +26,9 @@ from .compare import PRECISIONS, deviations, precision
 
 FOLDER = Path(__file__).with_name("mistakes_v1")
 LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
-CLOSER = 64  # times nearer to the mistake's answer than to the right one
-HUGE = np.finfo(np.float32).max
-MOST = 0.6  # of the failing cases agree with a hint
+NEARNESS = 64  # times nearer to the mistake's answer than to the right one
+NAN_VALUE = np.finfo(np.float32).max  # a very large number, which stands for NaN
+MIN_HINT_SHARE = 0.6  # of the failing cases agree with a hint
 ROLES = {"outputs": "out", "gradients": "in_bar"}
 # Mistakes that need no stored answers: the right values times a factor.
 FACTORS = {0: "is zero", -1: "has the wrong sign", 2: "is doubled", 0.5: "is halved"}
@@ -55,26 +55,25 @@ class Diagnosis(NamedTuple):
     certain: bool = True  # whether all wrong answers are explained; otherwise it is a hint
 
     def __str__(self):
-        said = self.mistake.description
-        if self.mistake.id:
-            said += f" [{self.mistake.id}]"
-        if not self.certain:
-            whose = f"the {self.part} of " if self.part else ""
-            return f"{said} (agrees with {whose}{len(self.cases)} of {self.failed} failing cases)"
-        return f"{said} (explains the {self.part} alone)" if self.part else said
+        id = self.mistake.id
+        text = self.mistake.description + f" [{id}]" * bool(id)
+        if self.certain:
+            return text + f" (explains the {self.part} alone)" * bool(self.part)
+        part = f"the {self.part} of " * bool(self.part)
+        return f"{text} (agrees with {part}{len(self.cases)} of {self.failed} failing cases)"
 
 
 @cache
 def known(subject):
     """Return the known mistakes of a subject."""
     rows = json.loads((FOLDER / "mistakes.json").read_text(encoding="utf-8"))
-    found = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
-    if found:
+    mistakes = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
+    if mistakes:
         file = FOLDER / f"{subject}.safetensors.gz"
         for name, array in safetensors.load(gzip.decompress(file.read_bytes())).items():
             id, case, tensor = name.split("/")
-            found[id].answers.setdefault(case, {})[tensor] = array
-    return list(found.values())
+            mistakes[id].answers.setdefault(case, {})[tensor] = array
+    return list(mistakes.values())
 
 
 def diagnose(subject, answers):
@@ -93,20 +92,24 @@ def diagnose(subject, answers):
     mistakes = known(subject) + _scaled(answers)
     whole = explain(mistakes, answers)
     parts = {part: _of(answers, role) for part, role in ROLES.items()}
-    parts = [explain(mistakes, rows, part) for part, rows in parts.items() if _failing(rows)]
+    parts = [
+        explain(mistakes, rows, part)
+        for part, rows in parts.items()
+        if any(wrong for *_, wrong in rows)
+    ]
     of_parts = [row for rows in parts for row in _best(rows)]
     explained = _best(whole) or (of_parts if all(map(_best, parts)) else [])
     if explained:  # where one part is wrong, a mistake in this direction alone fits as well
         return _distinct(explained + (of_parts if len(parts) == 1 else []))
-    hints = [row for row in whole if len(row.cases) >= MOST * row.failed]
+    hints = [row for row in whole if len(row.cases) >= MIN_HINT_SHARE * row.failed]
     hints.sort(key=lambda row: len(row.cases), reverse=True)
     return [row._replace(certain=False) for row in _distinct(hints + of_parts)]
 
 
 def explain(mistakes, answers, part=""):
     """Return a Diagnosis of every mistake that agrees with a failing case and with all others."""
-    failing, right = _failing(answers), [row for row in answers if not row[2]]
-    found = [
+    failing, right = ([row for row in answers if bool(row[2]) == wrong] for wrong in (True, False))
+    diagnoses = [
         Diagnosis(
             mistake,
             tuple(row[0].id for row in failing if _agrees(mistake, *row)),
@@ -117,15 +120,11 @@ def explain(mistakes, answers, part=""):
     ]
     return [
         row
-        for row in found
-        # Agreement where any answer agrees is no evidence.
+        for row in diagnoses
+        # In a noisy case every answer agrees, so it is no evidence.
         if any(id.partition("/")[2] not in row.mistake.noisy for id in row.cases)
         and all(_agrees(row.mistake, *r) for r in right)
     ]
-
-
-def _failing(answers):
-    return [row for row in answers if row[2]]
 
 
 def _best(rows):
@@ -157,33 +156,33 @@ def _scaled(answers):
 
     Every wrong output or gradient has the factor with which most cases agree.
     """
-    found = []
+    mistakes = []
     names = (name for *_, wrong in answers for name in wrong)
     for quantity in dict.fromkeys(".".join(name.split(".")[:2]) for name in names):
         rows = _of(answers, quantity)
         rows = explain([_times(factor, quantity, rows) for factor in FACTORS], rows)
         if rows:
-            found.append(max(rows, key=lambda row: len(row.cases)).mistake)
+            mistakes.append(max(rows, key=lambda row: len(row.cases)).mistake)
     together = {
-        case.name: {n: a for mistake in found for n, a in mistake.answers[case.name].items()}
+        case.name: {n: a for mistake in mistakes for n, a in mistake.answers[case.name].items()}
         for case, *_ in answers
     }
-    said = " and ".join(mistake.description for mistake in found)
-    return [mistake._replace(description=said, answers=together) for mistake in found[:1]]
+    description = " and ".join(mistake.description for mistake in mistakes)
+    return [m._replace(description=description, answers=together) for m in mistakes[:1]]
 
 
 @np.errstate(all="ignore")
 def _times(factor, quantity, answers):
     """Return the mistake of multiplying an output or a gradient by a factor."""
     (role, name), first = quantity.split("."), answers[0][0]
-    whose = "the output" if role == "out" else "the gradient of"
+    part = "the output" if role == "out" else "the gradient of"
     scaled = {
         case.name: {
             n: factor * a for n, a in case.tensors.items() if n in got and a.dtype.kind == "f"
         }
         for case, got, _ in answers
     }
-    return Mistake("", first.subject, first.equation, f"{whose} {name} {FACTORS[factor]}", scaled)
+    return Mistake("", first.subject, first.equation, f"{part} {name} {FACTORS[factor]}", scaled)
 
 
 def _agrees(mistake, case, got, wrong):
@@ -219,17 +218,17 @@ def _is_mistake(mine, would, right, scale, bound):
         return False
     if would.shape != right.shape:
         right, scale = np.full(would.shape, np.nan), np.zeros(would.shape)
-    # A mistake may produce NaN, which must then agree: a very large number stands for it.
+    # A mistake may produce NaN, which must then agree.
     would = would.astype(mine.dtype)
-    mine, would = (np.where(np.isnan(a), a.dtype.type(HUGE), a) for a in (mine, would))
+    mine, would = (np.where(np.isnan(a), a.dtype.type(NAN_VALUE), a) for a in (mine, would))
     size = np.maximum(scale, np.abs(would)).astype(float)
     # A mistake may sum other terms than S describes: then the largest S of the array counts, as
     # long as the mistake changes the number by much more.
-    largest = size[size < HUGE].max(initial=0)
+    largest = size[size < NAN_VALUE].max(initial=0)
     residual, scaled = deviations(mine, would, size, mine.dtype)
     _, coarse = deviations(mine, would, np.full(size.shape, largest), mine.dtype)
     effect, _ = deviations(would, right, scale, mine.dtype)
     error, units = deviations(mine, right, scale, mine.dtype)
     allowed, worst = LENIENCE * bound, units == units.max(initial=0)
-    near = (scaled <= allowed) | (coarse <= allowed) & (CLOSER * residual <= effect)
-    return bool(near.all() and (CLOSER * residual[worst] <= error[worst]).all())
+    near = (scaled <= allowed) | (coarse <= allowed) & (NEARNESS * residual <= effect)
+    return bool(near.all() and (NEARNESS * residual[worst] <= error[worst]).all())

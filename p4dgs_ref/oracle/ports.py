@@ -10,7 +10,7 @@ import numpy as np
 from . import safetensors
 from .compare import expected, precision
 from .published import FOLDER, flatten, meant, read_manifest, subjects
-from .safetensors import need
+from .safetensors import require
 
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
 
@@ -40,13 +40,13 @@ class FolderPort:
         streams = [row["name"] for row in read_manifest()["streams"]]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
-                need(file.stem in known, f"{file}: name: {meant(file.stem, known)}")
-                same = [
-                    vectors
-                    for vectors in FOLDER.glob(file.name)
-                    if file.is_file() and vectors.read_bytes() == file.read_bytes()
-                ]
-                need(not same, f"{file}: expected a port's answers, got the published vectors")
+                require(file.stem in known, f"{file}: name", meant(file.stem, known))
+                require(
+                    not file.is_file()
+                    or all(v.read_bytes() != file.read_bytes() for v in FOLDER.glob(file.name)),
+                    file,
+                    "expected a port's answers, got the published vectors",
+                )
 
     def run(self, case):
         """Return the tensors of one case.
@@ -57,21 +57,23 @@ class FolderPort:
             arrays, file = self.loaded[case.subject] = self.load(case.subject)
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
-                own, _, tensor = name.partition("/")
-                need(own in known, f"{file}: {name}: case {own!r}: {meant(own, known)}")
-                need(
+                label, _, tensor = name.partition("/")
+                require(label in known, f"{file}: {name}: case {label!r}", meant(label, known))
+                require(
                     not tensor.startswith("scale."),
-                    f"{file}: {name}: expected a port's answers, got a scale of the vectors",
+                    f"{file}: {name}",
+                    "expected a port's answers, got a scale of the vectors",
                 )
         arrays, file = self.loaded[case.subject]
         prefix = case.name + "/"
-        found = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
-        if not found:
+        tensors = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
+        if not tensors:
             answers = {name.partition("/")[2]: a for name, a in arrays.items()}
             asked = expected(case.tensors).keys() - case.unasked(precision(answers))
-            kind = "missing" if asked else "unasked"
-            raise PortError(kind, f"{file}: no tensor named {case.name}/...")
-        return found
+            raise PortError(
+                "missing" if asked else "unasked", f"{file}: no tensor named {case.name}/..."
+            )
+        return tensors
 
     def load(self, subject):
         """Return ({name: array}, file) of a subject. Raises PortError."""
@@ -95,8 +97,11 @@ class FolderPort:
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
         if reasons is None or not isinstance(reasons.get(name), str | None):
-            said = "expected a JSON object {name of a stream: the reason of its refusal, or null}"
-            raise PortError("damaged", f"{file}: {said}")
+            raise PortError(
+                "damaged",
+                f"{file}: expected a JSON object "
+                "{name of a stream: the reason of its refusal, or null}",
+            )
         if reasons.get(name) is not None:
             return None, reasons[name]
         try:

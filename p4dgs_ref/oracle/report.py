@@ -5,8 +5,8 @@ from collections import Counter
 
 from .published import subjects
 
-SHOWN = 8  # failing cases of a subject, wrong tensors of a case, at most
-FEWER = "right formula, fewer digits here; the recipe is"
+MAX_LISTED = 8  # failing cases of a subject, wrong tensors of a case
+RECIPE_HEAD = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
@@ -55,10 +55,9 @@ def unasked(report):
     """Return a line about cases and tensors of which no bound tells wrong answers."""
     cases = sum(r.verdict == "unasked" for r in report.results)
     tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
-    also = f" and {tensors} tensors of other cases" if tensors else ""
-    return [f"{cases} cases{also} are not judged here: a wrong answer would pass too"] * bool(
-        cases or tensors
-    )
+    others = f" and {tensors} tensors of other cases" * bool(tensors)
+    line = f"{cases} cases{others} are not judged here: a wrong answer would pass too"
+    return [line] * bool(cases or tensors)
 
 
 def acceptable(report):
@@ -66,7 +65,7 @@ def acceptable(report):
     results = [r for r in report.results if r.verdict == "acceptable"]
     for recipe in dict.fromkeys(r.recipe for r in results):
         yield f"acceptable: {', '.join(r.id for r in results if r.recipe == recipe)}"
-        yield f"  {FEWER}: {recipe}" if recipe else "  another answer is defensible here"
+        yield f"  {RECIPE_HEAD}: {recipe}" if recipe else "  another answer is defensible here"
 
 
 def divergence(report):
@@ -85,20 +84,21 @@ def divergence(report):
 
 
 def _case(result):
-    head, said = _reason(result)
+    head, reason = _reason(result)
     return [
         f"  {result.id}: {result.verdict}",
-        *[f"    {head}: {said}"] * bool(said),
-        *(f"    {_difference(result, finding)}" for finding in result.findings[:SHOWN]),
-        *[f"    and {len(result.findings) - SHOWN} more tensors"] * (len(result.findings) > SHOWN),
+        *[f"    {head}: {reason}"] * bool(reason),
+        *(f"    {_difference(result, finding)}" for finding in result.findings[:MAX_LISTED]),
+        *[f"    and {len(result.findings) - MAX_LISTED} more tensors"]
+        * (len(result.findings) > MAX_LISTED),
     ]
 
 
 def _difference(result, finding):
     """Return what is wrong with a tensor and, where there is one for every step, after which."""
-    said = f"{finding.tensor}: {finding.kind}: " * (finding.kind != "value") + finding.message
+    text = f"{finding.tensor}: {finding.kind}: " * (finding.kind != "value") + finding.message
     is_of_step = result.subject.endswith("_steps") and finding.kind != "extra"
-    return f"after step {int(finding.tensor.split('.')[2]) + 1}: {said}" if is_of_step else said
+    return f"after step {int(finding.tensor.split('.')[2]) + 1}: {text}" if is_of_step else text
 
 
 def _reason(result):
@@ -106,7 +106,7 @@ def _reason(result):
     if result.hint:
         return "hint", result.hint
     if result.recipe:
-        return FEWER, result.recipe
+        return RECIPE_HEAD, result.recipe
     return "explained by" if result.findings else "because", result.explanation
 
 
@@ -116,19 +116,19 @@ def _others(results, known):
     for key in dict.fromkeys(r.subject for r in results):
         rows = [r for r in results if r.subject == key]
         names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
-        shown = ", ".join(names[:SHOWN]) + f" and {len(names) - SHOWN} more" * (len(names) > SHOWN)
-        said = [
-            *[shown] * bool(names),
+        more = f" and {len(names) - MAX_LISTED} more" * (len(names) > MAX_LISTED)
+        parts = [
+            *[", ".join(names[:MAX_LISTED]) + more] * bool(names),
             *(
                 f"{count} {verdict}"
                 for verdict, count in Counter(sorted(r.verdict for r in rows)).items()
                 if verdict != "fail"
             ),
         ]
-        lines.append(f"  {key}: {'; '.join(said)}")
-        for (head, said), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():
+        lines.append(f"  {key}: {'; '.join(parts)}")
+        for (head, reason), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():
             where = f" ({count} of these)" if count < len(rows) else ""
-            lines.append(f"    {head}{where}: {'the same' if said == known else said}")
+            lines.append(f"    {head}{where}: {'the same' if reason == known else reason}")
     return lines
 
 

@@ -63,13 +63,14 @@ def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
     length = int.from_bytes(data[:8], "little")
     header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
-    need(header is not None, "header: expected its length in 8 bytes and a JSON object")
+    require(header is not None, "header", "expected its length in 8 bytes and a JSON object")
     header.pop("__metadata__", None)
     for name, record in header.items():
         offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None
-        need(
+        require(
             naturals(offsets) and len(offsets) == 2,
-            f"{name}.data_offsets: expected two integers, none of them negative",
+            f"{name}.data_offsets",
+            "expected two integers, none of them negative",
         )
         arrays[name] = array_of(name, record, body[slice(*offsets)])
     return arrays
@@ -78,26 +79,32 @@ def load(data):
 def array_of(name, record, data):
     """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
-    known = f"one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why"
-    need(code, f"{name}.dtype: expected {known}")
-    need(
+    require(
+        code,
+        f"{name}.dtype",
+        f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why",
+    )
+    require(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
-        f"{name}.shape: expected a list of integers, none of them negative",
+        f"{name}.shape",
+        "expected a list of integers, none of them negative",
     )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
-    said = f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}"
-    need(len(data) == size, f"{name}: {said}")
-    need(
-        code != "|b1" or not bytes(data).strip(b"\0\1"),
-        f"{name}: expected bytes 0 and 1 for BOOL",
+    require(
+        len(data) == size,
+        name,
+        f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}",
+    )
+    require(
+        code != "|b1" or not bytes(data).strip(b"\0\1"), name, "expected bytes 0 and 1 for BOOL"
     )
     return np.frombuffer(data, code).reshape(shape)
 
 
-def need(condition, message):
-    """Raise TensorError where a condition fails."""
+def require(condition, where, expected):
+    """Raise a TensorError unless the condition holds."""
     if not condition:
-        raise TensorError(message)
+        raise TensorError(f"{where}: {expected}")
 
 
 def json_object(text) -> Any:

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from ..codec import published
-from ..codec.container import BitstreamError, open_container
-from ..codec.file import quantised_of
-from ..scenes.output import OutputError, filled
+from ..codec.container import BitstreamError
+from ..designs import quantised_of
+from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
-from .published import FOLDER, VERSIONS, read_manifest
+from .published import FOLDER, read_manifest
 
 VERSION_2 = "codec/coded_"  # how the ids of its streams begin
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
@@ -58,9 +58,8 @@ def decoded(data):
     Raises BitstreamError.
     """
     types = {**published.TYPES, "bit": bool}
-    quantised = quantised_of(open_container(data), data[8])
-    found = published.expected(quantised)
-    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in found.items()}
+    arrays = published.expected(quantised_of(data))
+    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
 def check(port, names=None):
@@ -95,7 +94,7 @@ def optional(results, valid):
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
-    id, findings, said = f"codec/{row['name']}", [], ""
+    id, findings, explanation = f"codec/{row['name']}", [], ""
     try:
         arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
     except PortError as error:
@@ -105,12 +104,19 @@ def judge(row, good, decode):
         want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
         findings = differences(want, arrays)
     elif good:
-        said = f"refused a valid stream: {refused}"
+        explanation = f"refused a valid stream: {refused}"
     elif refused is None:
-        said = f"accepted a stream that must be refused: {row['says']}"
+        explanation = f"accepted a stream that must be refused: {row['says']}"
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    verdict = "fail" if findings or said else "pass"
-    return Result(id, blamed, "L3", verdict, True, tuple(findings), said)
+    return Result(
+        id,
+        blamed,
+        "L3",
+        verdict="fail" if findings or explanation else "pass",
+        required=True,
+        findings=tuple(findings),
+        explanation=explanation,
+    )
 
 
 def stored(row, entry):
@@ -124,8 +130,8 @@ def stored(row, entry):
     return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)
 
 
-def export(folder, version=VERSIONS[-1]):
-    """Copy a version of the published vectors into a folder; return the number of its cases.
+def export(folder):
+    """Copy the published vectors into a folder; return the number of its cases.
 
     The folder `codec` beside them holds what a right port answers to the streams, as an example.
     Raises OutputError where the folder holds other things, because files could be overwritten.
@@ -135,17 +141,11 @@ def export(folder, version=VERSIONS[-1]):
         raise OutputError(
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
-    manifest = read_manifest(version=version)
-    with filled(folder) as beside:
-        for file in sorted(FOLDER.iterdir()):
-            asked = file.suffix != ".safetensors" or file.name in manifest["files"]
-            if file.is_file() and asked:
-                shutil.copyfile(file, beside / file.name)
-        if version != VERSIONS[-1]:
-            (beside / "manifest.json").write_text(
-                json.dumps(manifest, separators=(",", ":")), encoding="utf-8"
-            )
-        write_streams(beside)
+    with filled(folder) as staging:
+        for file in filter(Path.is_file, FOLDER.iterdir()):
+            shutil.copyfile(file, staging / file.name)
+        write_streams(staging)
+    manifest = read_manifest()
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
 
 

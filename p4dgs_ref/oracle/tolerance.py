@@ -27,7 +27,7 @@ from .published import flatten
 
 PROBES = 12
 DELTA = 2.0**-34  # far above float64's rounding, small enough for terms that cancel to eight digits
-LEAST = 2.0**-40  # of the largest S in its array: the smallest S of a number
+MIN_SHARE = 2.0**-40  # of the largest S in its array: the smallest S of a number
 
 
 def answer_of(eq):
@@ -35,15 +35,13 @@ def answer_of(eq):
 
     def answer(inputs, cotangents):
         outputs, pullback = eq.vjp(**inputs)
-        gradients = pullback(**cotangents) if eq.gradients else {}
+        bars = pullback(**cotangents) if eq.gradients else {}
         # A scalar's gradient may be one of Python's numbers.
-        gradients = {
-            name: gradients[name]
-            if isinstance(gradients[name], list)
-            else np.asarray(gradients[name])
+        arrays = {
+            name: bars[name] if isinstance(bars[name], list) else np.asarray(bars[name])
             for name in eq.gradients
         }
-        return {**flatten(outputs, "out."), **flatten(gradients, "in_bar.")}
+        return {**flatten(outputs, "out."), **flatten(arrays, "in_bar.")}
 
     return answer
 
@@ -97,7 +95,7 @@ def _scale(name, values, wide, narrow):
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
     is_image = name.split(".")[1] in IMAGES
-    size = largest.reshape(()) if is_image else np.maximum(size, LEAST * largest)
+    size = largest.reshape(()) if is_image else np.maximum(size, MIN_SHARE * largest)
     # float32 has enough digits for S, but not always the range
     in_range = (size == 0) | (size > 1e-30) & (size < 1e30)
     return size.astype(np.float32) if in_range.all() else size

@@ -8,6 +8,7 @@ from ..equations import ssim
 from ..model import Model
 from ..scenes.scene import Scene
 from ..splatting.settings import FAST, Settings
+from ..training.loop import psnr
 from .inspect import components
 
 # D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.
@@ -21,17 +22,6 @@ def timed(function, *args, **kwargs):
     return function(*args, **kwargs), time.perf_counter() - start
 
 
-def squared_error(image, truth, where=None):
-    """Mean squared error of images clipped to [0, 1], over all pixels or those in `where`."""
-    difference = (np.clip(image, 0, 1).astype(float) - truth) ** 2
-    return float(difference.mean() if where is None else difference[where].mean())
-
-
-def decibel(error):
-    """-10 log10 of a mean squared error in dB; infinite for equal images."""
-    return float("inf") if error == 0 else float(-10 * np.log10(error))
-
-
 def score(image, view):
     """{psnr_db, psnr_fg_db, ssim} of one view.
 
@@ -39,10 +29,10 @@ def score(image, view):
     """
     foreground = None
     if view.alpha is not None and (view.alpha > 0.5).any():
-        foreground = decibel(squared_error(image, view.image, view.alpha > 0.5))
+        foreground = psnr(image[view.alpha > 0.5], view.image[view.alpha > 0.5])
     similarity, _ = ssim.forward(np.clip(image, 0, 1).astype(float), view.image.astype(float))
     return {
-        "psnr_db": decibel(squared_error(image, view.image)),
+        "psnr_db": psnr(image, view.image),
         "psnr_fg_db": foreground,
         "ssim": float(similarity),
     }
@@ -83,12 +73,7 @@ def evaluate(
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
     """Bytes of the same Gaussians and of the deformation network as plain float32."""
-    weights = sum(
-        a.size
-        for name in ("psi_d", "psi_t")
-        for arrays in model.networks.get(name, ())
-        for a in arrays
-    )
+    weights = sum(a.size for arrays in model.networks.get("psi_d", ()) for a in arrays)
     return 4 * (gaussians * floats + weights)
 
 

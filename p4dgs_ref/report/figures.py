@@ -22,10 +22,11 @@ LABELS = {
     "anchor_mlps": "anchor MLPs",
     "context_mlps": "context MLPs",
 }
-# Of Okabe and Ito's palette, for colour-blind readers.
-BLUE, LIGHT_BLUE, RED, ORANGE = "#0072B2", "#56B4E9", "#D55E00", "#E69F00"
-STACK = (BLUE, ORANGE, "#009E73", "#CC79A7")
-LARGEST_ERROR = 0.25  # the end of the error pictures' colours, the same in every report
+# The colours of Okabe and Ito, which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+BLUE, RED, GREEN, PINK, ORANGE, LIGHT_BLUE, _ = COLORS
+STACK = (BLUE, ORANGE, GREEN, PINK)
+ERROR_RANGE = 0.25  # the end of the error pictures' colours, the same in every report
 
 
 def pyplot():
@@ -81,7 +82,7 @@ def draw_pictures(path, title, rows):
     )
     for row, (label, pictures) in zip(axes, rows):
         for ax, (picture, above) in zip(row, pictures):
-            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=LARGEST_ERROR)
+            shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=ERROR_RANGE)
             ax.set(xticks=[], yticks=[], title=above)
             ax.spines[:].set_visible(False)
         row[0].set_ylabel(label, fontsize=15)
@@ -106,14 +107,14 @@ def write_comparison(folder, scene, rows, images, count=4):
     """
     write_csv(folder / "comparison.csv", rows)
     order = np.argsort([view.time for view in scene.test], kind="stable")
-    chosen = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
-    views, images = [scene.test[i] for i in chosen], [np.clip(images[i], 0, 1) for i in chosen]
+    index = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
+    views, images = [scene.test[i] for i in index], [np.clip(images[i], 0, 1) for i in index]
     draw_pictures(
         folder / "comparison.png",
         f"{scene.name}: test views, not used in training",
         [
             ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
-            ("decoded", [(a, f"PSNR {rows[i]['psnr_db']:.1f} dB") for a, i in zip(images, chosen)]),
+            ("decoded", [(a, f"PSNR {rows[i]['psnr_db']:.1f} dB") for a, i in zip(images, index)]),
             ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
         ],
     )
@@ -143,25 +144,27 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     )
 
 
-def write_size(folder, preset, own, paper=None):
+def write_size(folder, preset, metrics, paper=None):
     """size.csv and size.png: bytes by component, from the metrics of one or two designs.
 
     They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
     The title compares the first one with the same Gaussians as float32.
     """
     designs = {
-        label: m["components"] for label, m in ((preset, own), ("the paper's design", paper)) if m
+        label: of["components"]
+        for label, of in ((preset, metrics), ("the paper's design", paper))
+        if of
     }
     columns = dict(zip(("bytes", "paper_design_bytes"), designs.values()))
     write_csv(
         folder / "size.csv",
         [
             {"component": name, **{column: of[name] for column, of in columns.items()}}
-            for name in own["components"]
+            for name in metrics["components"]
         ],
     )
     sizes = {label: sum(components.values()) for label, components in designs.items()}
-    explicit, last = own["explicit_bytes"], [*designs.values()][-1]
+    explicit, last = metrics["explicit_bytes"], [*designs.values()][-1]
     names = sorted(last, key=last.get)
     figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
     height = 0.8 / len(designs)

@@ -3,9 +3,10 @@
 import numpy as np
 from scipy.special import xlogy
 
-from ..codec.container import read_container
-from ..codec.file import NETWORK_SECTIONS, attribute_columns, quantised_of
+from ..codec.file import NETWORK_SECTIONS, attribute_columns
+from ..codec.plain import BOX_BYTES
 from ..codec.streams import ideal_bits_gaussian
+from ..designs import has_version_2, quantised_of, read_container
 from ..equations import hash_grid, likelihood
 from ..model import context
 
@@ -52,31 +53,31 @@ def ledger(data):
     Raises BitstreamError for a file that cannot be decoded.
     """
     sections = read_container(data)
-    q = quantised_of(sections, data[8])
+    q = quantised_of(data)
     model, prior = q.model, float_context(q.model)
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
-    found = {
+    parts = {
         "header": (len(sections["header"]),),
-        "positions": (24 + q.model.design.coded, q.positions.size),
+        "positions": (BOX_BYTES + has_version_2(data), q.positions.size),
     }
     signs = np.concatenate([grid.ravel() for grid in model.grids]) > 0
     for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
         ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
         coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
-        found[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
+        parts[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
     for name, columns in attribute_columns(model.design):
         kept = q.kept[:, columns]
         estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
-        found[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
+        parts[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
     for name, members in NETWORK_SECTIONS.items():
         layers = [model.networks.get(member, ()) for member in members]
-        found[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
+        parts[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
     frame = len(data) - sum(map(len, sections.values()))
     return [
         ledger_row("container", frame, frame),
-        *(ledger_row(name, len(body), *found[name]) for name, body in sections.items()),
+        *(ledger_row(name, len(body), *parts[name]) for name, body in sections.items()),
     ]
 
 
@@ -108,9 +109,9 @@ def symbol_bits(q):
 def anchor_bits(data):
     """The model of a file, and the bits [A] of each anchor: its position, attributes and masks."""
     sections = read_container(data)
-    q = quantised_of(sections, data[8])
+    q = quantised_of(data)
     mask = q.model.anchors.mask
-    position = 8 * (len(sections["positions"]) - 24) / len(mask)  # the mean of all anchors
+    position = 8 * (len(sections["positions"]) - BOX_BYTES) / len(mask)  # the mean of all anchors
     return q.model, position + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)
 
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..arithmetic import arithmetic, keep_pages
-from ..codec.file import decode, encode
-from ..scenes.output import filled
+from ..designs import PRESETS, beyond, choose, decode, encode, fit, paper_preset, what_is_lost
+from ..output import filled
 from ..scenes.scene import Scene
 from ..signals import deferred
-from ..training.fit import few_views, fit, lost, warn
-from ..training.presets import PRESETS, Preset, beyond, choose, differences, paper_design
+from ..training.fit import few_views, warn
+from ..training.presets import Preset, differences
 from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
 
@@ -86,7 +86,7 @@ def one_design(scene, preset, seed, path, stream=None):
         "ms_per_step": 1e3 * seconds / preset.iterations,
         "encode_seconds": encode_seconds,
         "decode_seconds": decode_seconds,
-        "warning": lost(trainer),
+        "warning": what_is_lost(trainer),
     }
     return metrics, rows, images, model, trainer.history
 
@@ -96,17 +96,17 @@ def designs(scene, preset, seed, path, stream, jobs):
 
     There are no other metrics where the preset is the paper's design.
     """
-    own = (scene, preset, seed, path)
+    ours = (scene, preset, seed, path)
     if not beyond(preset):
-        return one_design(*own, stream), None
-    beside = path.with_name(f"{path.stem}_paper_design{path.suffix}")
-    other = (scene, paper_design(preset), seed, beside)
+        return one_design(*ours, stream), None
+    paper_path = path.with_name(f"{path.stem}_paper_design{path.suffix}")
+    paper = (scene, paper_preset(preset), seed, paper_path)
     if jobs == 1:
-        return one_design(*own, stream), one_design(*other, stream)[0]
+        return one_design(*ours, stream), one_design(*paper, stream)[0]
     with processes(1) as pool:
         with deferred():
-            waiting = pool.submit(one_design, *other)
-        return one_design(*own, stream), waiting.result()[0]
+            waiting = pool.submit(one_design, *paper)
+        return one_design(*ours, stream), waiting.result()[0]
 
 
 def main_job(
@@ -131,33 +131,33 @@ def main_job(
     and OutputError for a folder that cannot be written.
     """
     start = time.perf_counter() if start is None else start
-    chosen, name = choose(preset, changes), scene.name.replace("/", "_")
+    preset, name = choose(preset, changes), scene.name.replace("/", "_")
     warn(few_views(scene))
     # The report looks the same whatever style a program or a user's settings have chosen.
-    with filled(folder) as beside, report.pyplot().style.context("default"):
-        (own, rows, images, model, history), paper = designs(
-            scene, chosen, seed, beside / f"{name}.p4dgs", stream, jobs
+    with filled(folder) as staging, report.pyplot().style.context("default"):
+        (ours, rows, images, model, history), paper = designs(
+            scene, preset, seed, staging / f"{name}.p4dgs", stream, jobs
         )
         metrics = {
             "scene": scene.name,
-            "preset": chosen.name,
+            "preset": preset.name,
             "seed": seed,
             "arithmetic": arithmetic(),
-            **own,
-            "beyond_the_paper": beyond(chosen),
-            "paper_design": {key: (paper or own)[key] for key in ("bytes", "psnr_db", "ssim")},
+            **ours,
+            "beyond_the_paper": beyond(preset),
+            "paper_design": {key: (paper or ours)[key] for key in ("bytes", "psnr_db", "ssim")},
             "trained_at_once": paper is not None and jobs > 1,
             "effects": list(scene.effects),
             "changes": {
-                field: here for field, _, here in differences(chosen, PRESETS[chosen.name])
+                field: here for field, _, here in differences(preset, PRESETS[preset.name])
             },
         }
-        report.write_comparison(beside, scene, rows, images)
-        report.write_motion(beside / "motion.gif", model, scene.test[0].camera)
-        report.write_size(beside, chosen.name, own, paper)
-        report.write_training(beside, history, chosen.stage_ends)
-        warn(own["warning"])
+        report.write_comparison(staging, scene, rows, images)
+        report.write_motion(staging / "motion.gif", model, scene.test[0].camera)
+        report.write_size(staging, preset.name, ours, paper)
+        report.write_training(staging, history, preset.stage_ends)
+        warn(ours["warning"])
         warn(paper and paper["warning"] and f"the paper's design: {paper['warning']}")
         metrics["seconds"] = time.perf_counter() - start
-        (beside / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
+        (staging / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics

@@ -5,7 +5,7 @@ import json
 import re
 from pathlib import Path
 
-from ..scenes.output import new_file, write_atomically
+from ..output import new_file, write_atomically
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 
@@ -20,7 +20,7 @@ def page(files):
     files = 'id="files">' + json.dumps(embedded).replace("<", r"\u003c")
     return re.sub(
         r'<script src="(.*)">',
-        lambda found: "<script>\n" + (VIEWER / found[1]).read_text(encoding="utf-8"),
+        lambda tag: "<script>\n" + (VIEWER / tag[1]).read_text(encoding="utf-8"),
         (VIEWER / "page.html").read_text(encoding="utf-8").replace('id="files">[]', files),
     ).encode()
 

@@ -21,9 +21,9 @@ from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 
 
-def world_to_camera(found, where):
+def world_to_camera(value, where):
     """R and T from world to camera in OpenCV axes, from the matrix of a file."""
-    c2w = NUMBER(found, where, shape=(4, 4))
+    c2w = NUMBER(value, where, shape=(4, 4))
     require(
         np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
         where,
@@ -48,10 +48,10 @@ TRANSFORMS = {
 
 def read(folder, color, downscale):
     """The views of every split, {"train": ..., "test": ...}; the split `val` may be absent."""
-    files = {split: folder / f"transforms_{split}.json" for split in ("train", "test", "val")}
     return {
         split: read_split(folder, file, color, downscale)
-        for split, file in files.items()
+        for split in ("train", "test", "val")
+        for file in [folder / f"transforms_{split}.json"]
         if split != "val" or os.path.lexists(file)
     }
 

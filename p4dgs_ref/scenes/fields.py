@@ -30,54 +30,63 @@ def require(condition, where, expected):
         raise SceneError(where, expected)
 
 
-def numbers(found, where, low, high, shape=(), kind=float) -> Any:
+def numbers(value, where, low, high, shape=(), kind=float) -> Any:
     """An array of that shape, all of whose numbers are from low to high; a number for shape ().
 
     The kind is float or int; true and false are no numbers.
     """
     values = np.array(np.nan)
     with suppress(ValueError, OverflowError):  # rows of unequal lengths, integers of 400 digits
-        entries = np.asarray(found, dtype=object)
+        entries = np.asarray(value, dtype=object)
         known = (isinstance(x, KINDS[kind]) and not isinstance(x, bool) for x in entries.flat)
         if entries.shape == shape and all(known):
             values = entries.astype(kind)
     if not np.all((values >= low) & (values <= high)):  # nor for NaN
         one, many = ("an integer", "integers") if kind is int else ("a number", "numbers")
         expected = f"{many} of shape {list(shape)}" if shape else one
-        raise SceneError(where, f"{shown(found)}; expected {expected} in [{low:g}, {high:g}]")
+        raise SceneError(where, f"{shown(value)}; expected {expected} in [{low:g}, {high:g}]")
     return values if shape else values.item()
 
 
-def typed(found, where, kind):
+def typed(value, where, kind):
     """A value of a type of Python."""
-    require(isinstance(found, kind), where, f"{shown(found)}; expected a {kind.__name__}")
-    return found
+    require(isinstance(value, kind), where, f"{shown(value)}; expected a {kind.__name__}")
+    return value
 
 
-def text(found, where):
+def text(value, where):
     """A text that can be printed in one line."""
-    printable = isinstance(found, str) and found.isprintable()
-    require(printable, where, f"{found!r:.200}; expected a text without control characters")
-    return found
+    require(
+        isinstance(value, str) and value.isprintable(),
+        where,
+        f"{value!r:.200}; expected a text without control characters",
+    )
+    return value
 
 
-def choice(found, where, table):
+def choice(value, where, table):
     """The entry of a table that a word stands for."""
-    known = isinstance(found, str) and found in table
-    require(known, where, f"{shown(found)}; expected one of {', '.join(table)}")
-    return table[found]
+    require(
+        isinstance(value, str) and value in table,
+        where,
+        f"{shown(value)}; expected one of {', '.join(table)}",
+    )
+    return table[value]
 
 
-def list_of(found, where, check):
+def list_of(value, where, check):
     """A list of checked values."""
-    listed = isinstance(found, Collection) and not isinstance(found, (str, dict))
-    require(listed, where, f"{shown(found)}; expected a list")
-    return [check(value, f"{where}[{i}]") for i, value in enumerate(found)]
+    require(
+        isinstance(value, Collection) and not isinstance(value, (str, dict)),
+        where,
+        f"{shown(value)}; expected a list",
+    )
+    return [check(item, f"{where}[{i}]") for i, item in enumerate(value)]
 
 
-def fields(found, where, table, others=False):
+def fields(value, where, table, others=False):
     """The values of an object as a namespace; `others` allows fields that the table lacks."""
-    unknown = sorted(typed(found, where, dict).keys() - table.keys())
+    unknown = sorted(typed(value, where, dict).keys() - table.keys())
     require(
         others or not unknown,
         where,
@@ -86,12 +95,12 @@ def fields(found, where, table, others=False):
     values = SimpleNamespace()
     for name, (check, default) in table.items():
         place = f"{where}.{name}" if ": " in str(where) else f"{where}: {name}"
-        given = name in found or default is REQUIRED
-        setattr(values, name, check(found.get(name), place) if given else default)
+        given = name in value or default is REQUIRED
+        setattr(values, name, check(value.get(name), place) if given else default)
     return values
 
 
-def one_of(found, where, tables):
+def one_of(value, where, tables):
     """An object whose field `kind` chooses the table of its other fields."""
-    table = choice(typed(found, where, dict).get("kind"), f"{where}.kind", tables)
-    return fields(found, where, {"kind": (text, REQUIRED), **table})
+    table = choice(typed(value, where, dict).get("kind"), f"{where}.kind", tables)
+    return fields(value, where, {"kind": (text, REQUIRED), **table})

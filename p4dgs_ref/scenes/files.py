@@ -21,9 +21,9 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from ..output import write_atomically
 from .fields import SceneError, require
-from .output import write_atomically
-from .scene import FARTHEST, LARGEST_JSON, MOST_ANCHORS, as_float, over_background, size_of
+from .scene import MAX_ANCHORS, MAX_COORDINATE, MAX_JSON_BYTES, as_float, over_background, size_of
 
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
@@ -42,9 +42,9 @@ def read_json(file, expected=FOLDERS):
     """The JSON object in a file; `expected` says what it should be."""
     with reading(file, f"JSON in UTF-8, {expected}"):
         require(
-            file.stat().st_size <= LARGEST_JSON,
+            file.stat().st_size <= MAX_JSON_BYTES,
             file,
-            f"larger than {LARGEST_JSON} bytes; expected JSON",
+            f"larger than {MAX_JSON_BYTES} bytes; expected JSON",
         )
         data = json.loads(file.read_text(encoding="utf-8"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
@@ -111,14 +111,14 @@ def read_points(path: str | Path) -> np.ndarray:
     with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt or .bin"):
         points = READERS[path.suffix](path)
     require(
-        points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MOST_ANCHORS,
+        points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
         path,
-        f"expected 1 to {MOST_ANCHORS} points, [A, 3]; found {list(points.shape)}",
+        f"expected 1 to {MAX_ANCHORS} points, [A, 3]; found {list(points.shape)}",
     )
     require(
-        points.dtype.kind in "fiu" and np.all(np.abs(points) <= FARTHEST),
+        points.dtype.kind in "fiu" and np.all(np.abs(points) <= MAX_COORDINATE),
         path,
-        f"expected finite coordinates of at most {FARTHEST:g}",
+        f"expected finite coordinates of at most {MAX_COORDINATE:g}",
     )
     return points.astype(float)
 

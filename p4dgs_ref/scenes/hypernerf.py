@@ -27,13 +27,13 @@ import numpy as np
 from ..splatting.camera import Camera
 from .fields import REQUIRED, fields, list_of, numbers, require, text
 from .files import read_image, read_json, read_points, shrink
-from .scene import FARTHEST, FOCAL, LARGEST_LENS, PRINCIPAL, View, rotation, size_of
+from .scene import FOCAL, MAX_COORDINATE, MAX_LENS, PRINCIPAL, View, rotation, size_of
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
 PAIR, TRIPLE = partial(PRINCIPAL, shape=(2,)), partial(PRINCIPAL, shape=(3,))
 NAMES = partial(list_of, check=text)
-COUNT = partial(numbers, low=0, high=LARGEST_LENS, kind=int)
+COUNT = partial(numbers, low=0, high=MAX_LENS, kind=int)
 DATASET = dict.fromkeys(("train_ids", "val_ids", "ids"), (NAMES, ()))
 MOMENT = partial(
     fields, table={"time_id": (COUNT, None), "warp_id": (COUNT, REQUIRED)}, others=True
@@ -47,7 +47,7 @@ CAMERA = {
     "pixel_aspect_ratio": (FOCAL, 1.0),
     "principal_point": (PAIR, REQUIRED),
     "skew": (partial(numbers, low=0, high=0), 0.0),
-    "image_size": (partial(numbers, low=1, high=LARGEST_LENS, shape=(2,)), REQUIRED),
+    "image_size": (partial(numbers, low=1, high=MAX_LENS, shape=(2,)), REQUIRED),
     "radial_distortion": (TRIPLE, np.zeros(3)),
     "tangential_distortion": (PAIR, np.zeros(2)),
 }
@@ -82,9 +82,8 @@ def read_splits(folder):
     """
     file = folder / SPLITS
     listed = fields(read_json(file, FULL), file, DATASET, others=True)
-    train, test = listed.train_ids, listed.val_ids
-    if not test:
-        train, test = listed.ids[::4], listed.ids[2::4]
+    splits = [listed.train_ids, listed.val_ids]
+    train, test = splits if listed.val_ids else [listed.ids[::4], listed.ids[2::4]]
     require(
         train and test and not {*train} & {*test},
         file,
@@ -96,8 +95,9 @@ def read_splits(folder):
 def read_times(folder, names):
     """The time in [0, 1] of every view by its name: its time_id over the largest of all."""
     file = folder / "metadata.json"
-    table = dict.fromkeys(names, (MOMENT, REQUIRED))
-    moments = vars(fields(read_json(file, FULL), file, table, others=True))
+    moments = vars(
+        fields(read_json(file, FULL), file, dict.fromkeys(names, (MOMENT, REQUIRED)), others=True)
+    )
     counted = {
         name: moment.warp_id if moment.time_id is None else moment.time_id
         for name, moment in moments.items()
@@ -126,9 +126,9 @@ def place(folder, x):
     world = fields(read_json(file, FULL), file, WORLD, others=True)
     placed = (x - world.center) * world.scale
     require(
-        np.all(np.abs(placed) <= FARTHEST),
+        np.all(np.abs(placed) <= MAX_COORDINATE),
         f"{file}: scale",
-        f"puts a camera or point beyond {FARTHEST:g}; expected less",
+        f"puts a camera or point beyond {MAX_COORDINATE:g}; expected less",
     )
     return placed
 

@@ -7,11 +7,11 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from ..output import write_atomically
 from . import dnerf, hypernerf
 from .fields import numbers, require
 from .files import read_json, read_points
-from .output import write_atomically
-from .scene import LARGEST_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
+from .scene import MAX_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"
 
@@ -28,9 +28,9 @@ def load_scene(
     are read. Raises SceneError with one line that names the file, the field and what was expected.
     """
     folder = find_scene(path)
-    downscale = numbers(downscale, "downscale", 1, LARGEST_LENS, kind=int)
+    downscale = numbers(downscale, "downscale", 1, MAX_LENS, kind=int)
     effects = model_effects(
-        read_description(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
+        read_scene_json(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
     )
     color = background_color(background, effects, folder)
     read = hypernerf.read if is_hypernerf(folder) else dnerf.read
@@ -40,8 +40,8 @@ def load_scene(
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    of_d_nerf = os.path.lexists(folder / "transforms_train.json")
-    return not of_d_nerf and os.path.lexists(folder / hypernerf.SPLITS)
+    files = "transforms_train.json", hypernerf.SPLITS
+    return [os.path.lexists(folder / file) for file in files] == [False, True]
 
 
 def read_points_for(scene, path):
@@ -53,7 +53,7 @@ def read_points_for(scene, path):
     return hypernerf.place(scene.source, points) if is_hypernerf(scene.source) else points
 
 
-def read_description(folder: Path) -> dict:
+def read_scene_json(folder: Path) -> dict:
     """The scene.json of a scene's folder; empty where there is none."""
     file = folder / DESCRIPTION
     return read_json(file) if os.path.lexists(file) else {}
@@ -64,7 +64,7 @@ def list_effects(folder: Path, effects: list[str]) -> Path:
 
     Everything else in the file stays, and so do effects of the simulator alone.
     """
-    file, description = folder / DESCRIPTION, read_description(folder)
+    file, description = folder / DESCRIPTION, read_scene_json(folder)
     drawn = [name for name in description.get("effects") or () if name not in MODEL_EFFECTS]
     text = json.dumps({**description, "effects": [*effects, *drawn]}, indent=1) + "\n"
     write_atomically(file, lambda opened: opened.write(text.encode()))

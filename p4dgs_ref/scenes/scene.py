@@ -16,13 +16,13 @@ from .fields import REQUIRED, choice, fields, list_of, numbers, require
 
 # How much a scene and a file may hold, so that a damaged one costs neither time nor memory. The
 # codec's format page states the limits of a file; a port has to keep to them.
-FARTHEST = 1e6  # scene units from the origin to a camera or point, along any axis
-LEAST_LENS, LARGEST_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
-LARGEST_JSON = 2**27  # bytes; a view takes about 500
-MOST_FILE, MOST_HEADER = 2**29, 2**14  # bytes
-MOST_ANCHORS, MOST_ENTRIES = 2**22, 2**24  # entries of the hash grid
-LARGEST_BOX = 1e30  # of a coordinate, so that extents are finite in float32
-MOST_SYMBOL, MOST_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
+MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
+MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
+MAX_JSON_BYTES = 2**27  # a view takes about 500
+MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14
+MAX_ANCHORS, MAX_ENTRIES = 2**22, 2**24  # entries of the hash grid
+MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
+MAX_SYMBOL, MAX_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -41,9 +41,9 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 ROTATION_TOLERANCE = 1e-3
 
 
-def rotation(found, where):
+def rotation(value, where):
     """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
-    R = numbers(found, where, -FARTHEST, FARTHEST, (3, 3))
+    R = numbers(value, where, -MAX_COORDINATE, MAX_COORDINATE, (3, 3))
     error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     require(
         error <= ROTATION_TOLERANCE and determinant > 0,
@@ -57,10 +57,10 @@ def rotation(found, where):
 # Checks that several formats share, and the fields of a camera.
 SHARE = partial(numbers, low=0, high=1)
 COLOR = partial(SHARE, shape=(3,))
-NUMBER = partial(numbers, low=-FARTHEST, high=FARTHEST)
+NUMBER = partial(numbers, low=-MAX_COORDINATE, high=MAX_COORDINATE)
 POINT = partial(NUMBER, shape=(3,))
-FOCAL = partial(numbers, low=LEAST_LENS, high=LARGEST_LENS)
-PRINCIPAL = partial(numbers, low=-LARGEST_LENS, high=LARGEST_LENS)
+FOCAL = partial(numbers, low=MIN_LENS, high=MAX_LENS)
+PRINCIPAL = partial(numbers, low=-MAX_LENS, high=MAX_LENS)
 CAMERA = {
     "R": (rotation, REQUIRED),
     "T": (POINT, REQUIRED),
@@ -139,8 +139,11 @@ class Scene:
             f"{name}: images, cameras, times",
             f"{len(images)}, {len(cameras)} and {len(moments)}; expected equal numbers",
         )
-        index = partial(numbers, low=0, high=len(images) - 1, kind=int)
-        held_back = list_of(list(test), f"{name}: test", index)
+        held_back = list_of(
+            list(test),
+            f"{name}: test",
+            partial(numbers, low=0, high=len(images) - 1, kind=int),
+        )
         listed = model_effects(effects, f"{name}: effects")
         color = background_color(background, listed, name)
         views = [
@@ -163,8 +166,11 @@ class Scene:
 
 def check_effects(names, where):
     """A list of effects in the order of SIMULATOR_EFFECTS; None stands for all of the model's."""
-    check = partial(choice, table={name: name for name in SIMULATOR_EFFECTS})
-    listed = list_of(MODEL_EFFECTS if names is None else names, where, check)
+    listed = list_of(
+        MODEL_EFFECTS if names is None else names,
+        where,
+        partial(choice, table={name: name for name in SIMULATOR_EFFECTS}),
+    )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
 
 
@@ -175,8 +181,10 @@ def model_effects(names, where):
 
 def background_color(background, effects, where):
     """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
-    color = BACKGROUNDS.get(background, background) if isinstance(background, str) else background
-    color = COLOR(color, f"{where}: background, white, black or three numbers")
+    color = COLOR(
+        BACKGROUNDS.get(background, background) if isinstance(background, str) else background,
+        f"{where}: background, white, black or three numbers",
+    )
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 

@@ -29,7 +29,7 @@ RANKS = 32  # depth ranks that are evaluated together; 16 to 32 cost about the s
 GROUP = 2**14  # pixels of the tiles that are evaluated together
 CACHED = 2**16  # alphas that are composited as soon as they are computed, while in the cache
 PIECE = 2**14  # pairs whose gradients are computed together, which bounds the memory
-NOTHING = -1e4  # logarithm of an opacity of 0: its exp is zero in every dtype
+LOG_OF_ZERO = -1e4  # stands for the logarithm of an opacity of 0: its exp is 0 in every dtype
 
 
 def forward(
@@ -110,29 +110,36 @@ def backward(saved, image_bar):
         if weights is None:
             weights = np.empty_like(A)
             front_to_back(A, weights, before.copy(), np.zeros(before.shape, bool), settings)
+        # In the forward image += weight color, so a color gets the weights, and a weight the color.
         g_tiles, sums = g[tiles], np.empty((*pairs.shape, 9), A.dtype)
-        paint_bar = sums[:, :, 6:].transpose(1, 0, 2)
-        np.matmul(weights.transpose(1, 0, 2), g_tiles.transpose(0, 2, 1), out=paint_bar)
+        np.matmul(
+            weights.transpose(1, 0, 2),
+            g_tiles.transpose(0, 2, 1),
+            out=sums[:, :, 6:].transpose(1, 0, 2),  # gradients of the colors
+        )
         V = np.empty_like(A)  # what a pixel gains per unit of a splat's weight
         colors = paint.take(pairs, axis=0).transpose(1, 0, 2)
         np.matmul(colors, g_tiles, out=V.transpose(1, 0, 2))
         if occlusion:
-            seen = behind[tiles]  # the value seen through a rank; nothing is divided by 1 - alpha
-            blocked = np.empty_like(seen)
+            # In the forward T *= 1 - alpha, so alpha also takes what stands behind its rank.
+            through = behind[tiles]  # the value behind a rank; nothing is divided by 1 - alpha
+            blocked = np.empty_like(through)
             for a, v in zip(A[::-1], V[::-1]):
-                v -= seen
-                seen += np.multiply(a, v, out=blocked)
-            behind[tiles] = seen
-        V *= weights  # gradient of log alpha
+                v -= through
+                through += np.multiply(a, v, out=blocked)
+            behind[tiles] = through
+        V *= weights  # in the forward weight = alpha T, so this is the gradient of log alpha
         for where, slope in clamped:
             V.reshape(-1)[where] *= slope
+        # In the forward log alpha = coefficients @ monomials, so coefficients get their moments.
         np.matmul(V.reshape(-1, len(basis)), basis, out=sums.reshape(-1, 9)[:, :6])
         per_pair[pairs] = sums
     columns = per_pair[:-1].T.astype(float, order="C")
     for first in range(0, len(lists.row), PIECE):
         piece = slice(first, first + PIECE)
-        placed = at_pairs(splats, lists, settings.tile, piece)
-        columns[:6, piece] = from_moments(columns[:6, piece], placed)
+        columns[:6, piece] = from_moments(
+            columns[:6, piece], at_pairs(splats, lists, settings.tile, piece)
+        )
     # All pairs of a Gaussian.
     total = np.stack([np.bincount(lists.row, pairs, splats.shape[1]) for pairs in columns], axis=1)
     return {
@@ -159,7 +166,7 @@ def columns_of(mean2d, conic, alpha):
     """
     some = alpha > 0
     opacity = np.where(some, alpha, 1)
-    log_alpha = np.where(some, np.log(opacity), NOTHING)
+    log_alpha = np.where(some, np.log(opacity), LOG_OF_ZERO)
     return np.stack([*mean2d.T, *(-conic.T * some), log_alpha, opacity])
 
 
@@ -178,7 +185,7 @@ def polynomials(placed, dtype):
     k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
     coefficients = np.zeros((len(a) + 1, 6), dtype)
     coefficients[:-1] = np.stack((k_0, k_1, k_2, a / 2, b, c / 2), axis=1)
-    coefficients[-1, 0] = NOTHING
+    coefficients[-1, 0] = LOG_OF_ZERO
     return coefficients
 
 

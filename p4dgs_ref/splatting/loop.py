@@ -88,11 +88,8 @@ def backward(saved, image_bar):
         alpha_bar[i] = V.sum()
         V *= alpha[i]  # gradient of the exponent
         a, b, c = conic[i]
-        mean2d_bar[i, 0] = (V * (a * e_x + b * e_y)).sum()
-        mean2d_bar[i, 1] = (V * (b * e_x + c * e_y)).sum()
-        conic_bar[i, 0] = -(V * e_x**2).sum() / 2
-        conic_bar[i, 1] = -(V * e_x * e_y).sum()
-        conic_bar[i, 2] = -(V * e_y**2).sum() / 2
+        mean2d_bar[i] = (V * (a * e_x + b * e_y)).sum(), (V * (b * e_x + c * e_y)).sum()
+        conic_bar[i] = -(V * e_x**2).sum() / 2, -(V * e_x * e_y).sum(), -(V * e_y**2).sum() / 2
     return {
         "mean2d": mean2d_bar,
         "conic": conic_bar,

@@ -40,16 +40,16 @@ def forward(
     dtype, inner = x.dtype, np.result_type(x, np.float64)
     W, T, focal, center = (np.asarray(a, inner) for a in (W, T, focal, center))
     Sigma = Sigma.astype(inner, copy=False)
-    x_c = x @ W.T + T
+    x_c = x @ W.T + T  # [N, 3]  camera coordinates
     visible = (x_c[:, 2] > near) & np.isfinite(x_c).all(axis=1)
     x_c = np.where(visible[:, None], x_c, (0.0, 0.0, 1.0))
-    z = x_c[:, 2:]
+    z = x_c[:, 2:]  # [N, 1]
     ratio, limit = x_c[:, :2] / z, tan_clamp * np.asarray(size) / (2 * focal)
-    uv = np.clip(ratio, -limit, limit)
-    JW = (W[None, :2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]
-    m = JW if R is None else JW @ R
+    uv = np.clip(ratio, -limit, limit)  # [N, 2]
+    JW = (W[None, :2] - uv[:, :, None] * W[2]) * (focal / z)[:, :, None]  # [N, 2, 3]
+    m = JW if R is None else JW @ R  # [N, 2, 3]  its rows are m_1 and m_2
     mS = m @ Sigma
-    a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T
+    a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T  # [N]  the diagonal of cov2d
     # the mean of both off-diagonal entries
     b = ((mS[:, 0] * m[:, 1]).sum(axis=1) + (mS[:, 1] * m[:, 0]).sum(axis=1)) / 2
     with np.errstate(over="ignore", invalid="ignore"):  # splats beyond every image, culled below
@@ -79,12 +79,15 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
     """
     x_c, inside, JW, m, R, det, blur, Sigma, inverse, visible, W, focal, dtype = saved
     z, K = x_c[:, 2:], symmetric(*inverse.T)
+    # In the forward (a, b, c) becomes the conic K = cov^-1, so d(K) = -K d(cov) K.
     cov_bar = np.zeros_like(K)  # gradient of the symmetric matrix [[a, b], [b, c]]
     if conic_bar is not None and R is None:
-        cov_bar -= K @ halved(conic_bar, visible) @ K  # d(K) = -K d(cov) K
+        cov_bar -= K @ halved(conic_bar, visible) @ K
     if cov2d_bar is not None:
         cov_bar += halved(cov2d_bar, visible)
     cov_bar[:, 1, 0] = cov_bar[:, 0, 1]  # exactly symmetric, also in the last bits
+    # In the forward cov = m Sigma m^T, so Sigma gets m^T cov_bar m and m, which stands there
+    # twice, gets cov_bar m (Sigma + Sigma^T).
     Sigma_bar, m_bar = m.transpose(0, 2, 1) @ cov_bar @ m, cov_bar @ m
     if conic_bar is not None and R is not None:  # the same, but nothing cancels
         n, mS = cross(m[:, 0], m[:, 1]), m @ Sigma
@@ -98,11 +101,13 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
     if R is not None:
         bars["R"] = JW.transpose(0, 2, 1) @ m_bar
         m_bar = np.where(visible[:, None, None], m_bar @ R.transpose(0, 2, 1), 0)
+    # In the forward J W = focal / z (W_xy - uv W_z), so uv gets -W_z focal / z and z gets -J W / z.
     uv_bar = -(m_bar @ W[2]) * focal / z
-    z_bar = -(m_bar * JW).sum(axis=(1, 2))[:, None] / z  # J W is proportional to 1/z
+    z_bar = -(m_bar * JW).sum(axis=(1, 2))[:, None] / z
     ratio_bar = uv_bar * inside
     if mean2d_bar is not None:
         ratio_bar = ratio_bar + np.where(visible[:, None], mean2d_bar, 0) * focal
+    # In the forward ratio = (x, y) / z, so x and y get 1 / z and z gets -(x, y) / z**2.
     z_bar -= (ratio_bar * x_c[:, :2]).sum(axis=1, keepdims=True) / z**2
     if depth_bar is not None:
         z_bar[:, 0] += np.where(visible, depth_bar, 0)

@@ -25,18 +25,20 @@ def forward(
     exact twin would not.
     """
     (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    out, saved = draw(x, Sigma, alpha, color, camera, background, settings, occlusion, keep, R)
+    out, saved = from_covariances(
+        x, Sigma, alpha, color, camera, background, settings, occlusion, keep, R
+    )
     return out, (saved_axes, *saved)
 
 
 def backward(saved, image_bar):
     """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
     saved_axes, *saved = saved
-    bars = draw_backward(saved, image_bar)
+    bars = from_covariances_backward(saved, image_bar)
     return {**covariance.axes_backward(saved_axes, bars.pop("Sigma"), bars.pop("R")), **bars}
 
 
-def draw(
+def from_covariances(
     x,  # [N, 3]
     Sigma,  # [N, 3, 3]  covariances, symmetric (square scene units)
     alpha,  # [N]
@@ -65,7 +67,7 @@ def draw(
     return (*out, visible), (saved_projection, compositor, saved)
 
 
-def draw_backward(saved, image_bar):
+def from_covariances_backward(saved, image_bar):
     """Gradients of x, Sigma, R if there was one, alpha, color, background, and of mean2d."""
     saved_projection, compositor, saved_compositing = saved
     splats = compositor.backward(saved_compositing, image_bar)

@@ -7,7 +7,7 @@ import numpy as np
 from .compositing import depth_order
 
 # Of a Gaussian and a tile: 2 GB for the lists, and with tiles of 8 up to 6 GB for the gradients.
-MOST_PAIRS = 2**23
+MAX_PAIRS = 2**23
 
 
 class Lists(NamedTuple):
@@ -27,7 +27,7 @@ def bin_splats(
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
     occlusion the Gaussians of a tile stand in the order of their index. Raises ValueError where
-    there are more than MOST_PAIRS, before they take memory.
+    there are more than MAX_PAIRS, before they take memory.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -39,9 +39,9 @@ def bin_splats(
     first, beyond = np.clip(ends, 0, (columns, rows)).astype(np.int64)
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
-    if count.sum() > MOST_PAIRS:
+    if count.sum() > MAX_PAIRS:
         raise ValueError(
-            f"{count.sum()} pairs of Gaussians and tiles: expected at most {MOST_PAIRS}; smaller "
+            f"{count.sum()} pairs of Gaussians and tiles: expected at most {MAX_PAIRS}; smaller "
             "pictures, or fewer or smaller Gaussians, have fewer"
         )
     row, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the arrays with one row per anchor
-LARGEST_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
+from ..attributes import ATTRIBUTES, ROWS
+
+MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
 @dataclass
@@ -25,13 +26,13 @@ class Statistics:
         """The statistics of A anchors with k children before the first view."""
         return cls(np.zeros(A), np.zeros((A, k)), np.zeros((A, k)), np.zeros((A, k)))
 
-    def collect(self, seen, mean2d_bar, width, height):
+    def collect(self, rendered, mean2d_bar, width, height):
         """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
         self.visits += 1
-        self.opacity += np.maximum(seen.alpha, 0)
+        self.opacity += np.maximum(rendered.alpha, 0)
         length = np.hypot(mean2d_bar[:, 0] * width / 2, mean2d_bar[:, 1] * height / 2)
-        rows = seen.index[seen.visible]
-        self.gradient.reshape(-1)[rows] += length[seen.visible]
+        rows = rendered.index[rendered.visible]
+        self.gradient.reshape(-1)[rows] += length[rendered.visible]
         self.seen.reshape(-1)[rows] += 1
 
     def clear_judged(self, preset):
@@ -93,9 +94,14 @@ def grow(p, statistics, preset, rng):
             features.append(largest[free])
             sizes.append(np.full(free.sum(), np.log(size)))
     x_a = np.concatenate(taken)
-    reach = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1).astype(x_a.dtype)
-    offsets = np.zeros((len(x_a), *p["O_a"].shape[1:]), x_a.dtype)
-    return dict(zip(ROWS, (x_a, np.concatenate(features), reach, reach, offsets)))
+    start = {
+        "feature": np.concatenate(features),
+        "spacing": np.concatenate(sizes)[:, None],
+        "zero": 0.0,
+    }
+    shapes = {row: (len(x_a), *p[row.parameter].shape[1:]) for row in ATTRIBUTES}
+    attributes = {row.parameter: np.broadcast_to(start[row.start], shapes[row]) for row in shapes}
+    return {"x_a": x_a, **attributes}
 
 
 def often_seen(statistics, preset):
@@ -128,12 +134,12 @@ def reseed(p, first, second, dead, statistics, rng):
     Adam moments (`first`, `second`).
     """
     k = p["O_a"].shape[1]
-    pull = statistics.gradient.ravel() * ~np.repeat(dead, k)
-    if not dead.any() or not pull.any():
+    weight = statistics.gradient.ravel() * ~np.repeat(dead, k)
+    if not dead.any() or not weight.any():
         return
-    chosen = rng.choice(len(pull), size=dead.sum(), p=pull / pull.sum())
-    copied = {name: p[name][chosen // k] for name in ROWS}
-    copied["x_a"] = centers(p).reshape(-1, 3)[chosen]
+    parents = rng.choice(len(weight), size=dead.sum(), p=weight / weight.sum())
+    copied = {name: p[name][parents // k] for name in ROWS}
+    copied["x_a"] = centers(p).reshape(-1, 3)[parents]
     copied["O_a"] = 0
     for name, rows in copied.items():
         p[name][dead] = rows

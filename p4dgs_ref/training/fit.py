@@ -1,6 +1,6 @@
-"""Training in one call, and the checkpoint from which it goes on to the same bytes.
+"""Training to the end, with a checkpoint from which it goes on to the same bytes.
 
-`train` warns of a scene with few views, and of a model that has lost what moves.
+Warnings say that a scene has few views, and that a model has lost what moves.
 """
 
 import hashlib
@@ -10,33 +10,26 @@ import time
 import warnings
 import zlib
 from contextlib import nullcontext
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, TextIO
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .. import effects as fx
-from ..model import Model
-from ..scenes.output import destination, locked, write_atomically
-from ..scenes.scene import Scene
+from ..output import destination, locked, write_atomically
 from ..signals import deferred
-from ..splatting.settings import FAST, Settings
-from .body import unlike
-from .initial import design_of
 from .loop import Progress, psnr
-from .parameters import Parameters
-from .presets import PAPER_SYNTHETIC, Preset, choose
-from .trainer import Trainer, assemble, tagged
+from .presets import Preset
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
+FOREGROUND_THRESHOLD = 0.1  # difference of a channel from which on two pixels disagree
 TIMES = 9  # the model is drawn at so many; the median of these pictures shows it at rest
-MOST_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
-LEAST_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
+MAX_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
+MIN_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
-RELEASE = f"checkpoint 3, fields {Preset._fields}".encode()
+RELEASE = f"checkpoint 4, fields {[row.name for row in fields(Preset)]}".encode()
 CHECKSUM_BYTES = 32
 
 
@@ -44,59 +37,17 @@ class RunError(ValueError):
     """A run folder that cannot be used: one line naming the file, the field and what to do."""
 
 
-def train(
-    scene: Scene,
-    preset: str | Preset = "tiny",
-    seed: int = 0,
-    *,
-    settings: Settings = FAST,
-    points: ArrayLike | None = None,
-    folder: str | Path | None = None,
-    resume: bool = False,
-    stream: TextIO | None = None,
-    save_every: float = SAVE_EVERY,
-    **changes: Any,
-) -> Model:
-    """Fit a scene and return the model, ready to be rendered or encoded.
+def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
+    """Train to the end. In `folder` a checkpoint is kept; with `resume` training goes on from it.
 
-    `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
-    [A, 3] in scene units, without them at those of the scene, and at random where it has none. In
-    `folder`, which must exist, a checkpoint is kept and renewed every `save_every` seconds; with
-    `resume` training goes on from it. The progress line goes to `stream`.
-
-    Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
-    fit, OutputError for a folder in which another training runs, and NotFinite with the first
-    equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise KeyboardInterrupt
-    after the current iteration, a second one at once. Warns of a scene with few training views, and
-    where what moves is hardly better than in the mean of the training pictures.
+    Raises RunError for a checkpoint that does not fit, OutputError for a folder in which another
+    training runs, and NotFinite. Ctrl-C or SIGTERM raise KeyboardInterrupt after the current
+    iteration, a second one at once.
     """
-    warn(few_views(scene))
-    trainer = fit(
-        scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
-    )
-    warn(lost(trainer))
-    return trainer.model()
-
-
-def fit(
-    scene: Scene,
-    preset: str | Preset,
-    seed: int,
-    settings: Settings = FAST,
-    points: ArrayLike | None = None,
-    folder: str | Path | None = None,
-    resume: bool = False,
-    stream: TextIO | None = None,
-    save_every: float = SAVE_EVERY,
-    **changes: Any,
-) -> Trainer:
-    """Do what `train` does without its warnings, and return the Trainer, which has the history."""
-    chosen = choose(preset, changes)
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
-        trainer, progress = Trainer(scene, chosen, seed, settings, points), Progress(stream)
         with nullcontext() if folder is None else locked(folder), deferred() as asked:
-            common = identity(trainer)
+            progress, common = Progress(stream), identity(trainer)
             if resume and folder is not None:
                 go_on(trainer, folder, common)
 
@@ -106,13 +57,12 @@ def fit(
 
             keep()
             saved = time.monotonic()
-            while trainer.iteration < chosen.iterations and not asked:
+            while trainer.iteration < trainer.preset.iterations and not asked:
                 progress(trainer, *trainer.step())
                 if time.monotonic() - saved > save_every:
                     keep()
                     saved = time.monotonic()
             keep()  # then `deferred` raises KeyboardInterrupt where it was asked for
-    return trainer
 
 
 def warn(sentence):
@@ -131,36 +81,37 @@ def few_views(scene):
     )
 
 
-def lost(trainer):
+def disagreements(image, other):
+    """The pixels [H, W] in which an image [H, W, 3] differs from another one, or from a colour."""
+    return np.abs(image - other).max(axis=2) > FOREGROUND_THRESHOLD
+
+
+def lost(trainer, remedy=""):
     """What to say where what moves is hardly better than in one picture shown for all views.
 
     This picture is the mean of the training views. Both are compared with test views, which
     training has not seen, or with training views where a scene has no others, in all pixels that
-    are unlike the median of the model's own pictures over nine times.
+    disagree with the median of the model's own pictures over nine times.
     """
     model, scene = trainer.model(), trainer.scene
     views, mean = scene.test or scene.train, np.mean([v.image for v in scene.train], axis=0)
     times = np.quantile([v.time for v in scene.train], np.linspace(0, 1, TIMES))
-    found, size = [], 0
-    for v in views[:: 1 + len(views) // MOST_VIEWS]:
+    pixels, size = [], 0
+    for v in views[:: 1 + len(views) // MAX_VIEWS]:
         drawn, *others = (model.render(v.camera, t, trainer.settings) for t in (v.time, *times))
-        moves = unlike(v.image, np.median(others, axis=0))
-        found.append([image[moves] for image in (drawn, mean, v.image)])
+        moves = disagreements(v.image, np.median(others, axis=0))
+        pixels.append([image[moves] for image in (drawn, mean, v.image)])
         size += moves.size
-    drawn, mean, truth = map(np.concatenate, zip(*found))
-    if not len(truth) or psnr(drawn, truth) >= psnr(mean, truth) + LEAST_GAIN:
+    drawn, mean, truth = map(np.concatenate, zip(*pixels))
+    if not len(truth) or psnr(drawn, truth) >= psnr(mean, truth) + MIN_GAIN:
         return ""
-    moved = fx.moves(scene.effects)
-    remedy = (
-        "`--set body=true` or a preset that has it, such as tiny_coded (B3)"
-        if moved and not trainer.preset.body
-        else "another seed, more iterations (stage_ends), more views or larger bodies"
-    )
     return (
-        f"scene {scene.name}: {'what moves is lost' if moved else 'the result is useless'}: where "
+        f"scene {scene.name}: "
+        f"{'what moves is lost' if fx.moves(scene.effects) else 'the result is useless'}: where "
         f"{'test' if scene.test else 'training'} views differ from the model at rest "
         f"({len(truth) / size:.1%} of the pixels), it has {psnr(drawn, truth):.2f} dB, the mean of "
-        f"the training pictures {psnr(mean, truth):.2f} dB; try {remedy}"
+        f"the training pictures {psnr(mean, truth):.2f} dB; try "
+        + (remedy or "another seed, more iterations (stage_ends), more views or larger bodies")
     )
 
 
@@ -176,7 +127,7 @@ def fingerprint(views, text=""):
 def identity(trainer):
     """What a checkpoint has in common with every training that goes on from it, as JSON values."""
     return {
-        **{f"preset.{name}": value for name, value in trainer.preset._asdict().items()},
+        **{f"preset.{name}": value for name, value in vars(trainer.preset).items()},
         "seed": trainer.seed,
         "effects": list(trainer.design.effects),
         "background": [float(c) for c in trainer.scene.background],
@@ -213,8 +164,8 @@ def load_checkpoint(folder):
             f"{path}: {error.strerror}; expected a checkpoint, "
             f"which `p4dgs-ref train SCENE -o {folder}` makes"
         ) from None
-    data, found = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
-    if found != checksum(data):
+    data, end = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
+    if end != checksum(data):
         raise RunError(
             f"{path}: damaged, edited or written by another release; expected a checkpoint as "
             "`p4dgs-ref train` writes it; train again into another folder"
@@ -237,12 +188,3 @@ def go_on(trainer, folder, common):
                 "folder"
             )
     trainer.restore(arrays, values)
-
-
-def load_model(folder: str | Path) -> tuple[Model, dict]:
-    """The model in the checkpoint of a run folder, and the values of the checkpoint."""
-    arrays, values = load_checkpoint(folder)
-    fields = {name: values[f"preset.{name}"] for name in Preset._fields[1:]}
-    p = Parameters(tagged(arrays, "p"))
-    design = design_of(choose(PAPER_SYNTHETIC, fields), values["effects"])
-    return assemble(p, design, arrays["mask"], tuple(arrays["box"]), values["background"]), values

@@ -1,23 +1,26 @@
 """The first parameters: random anchors, default networks, a hash grid with random signs."""
 
+from dataclasses import fields
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from .. import effects as fx
+from ..attributes import ATTRIBUTES
 from ..model import Design
-from .coded_networks import first_log_steps
 from .parameters import Parameters, random_layers
 
 
 def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
     levels = {"xyz": preset.grid_3d, **dict.fromkeys(("xy", "xz", "yz"), preset.grid_2d)}
-    same = {name: getattr(preset, name) for name in Design._fields if hasattr(preset, name)}
+    names = [field.name for field in fields(Design)]
+    same = {name: getattr(preset, name) for name in names if hasattr(preset, name)}
     return Design(
         **same,
         grid=tuple((axes, res) for axes, listed in levels.items() for res in listed),
         table=(preset.table_3d, preset.table_2d),
-        Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
+        Q_0=tuple(getattr(preset, row.base_step) for row in ATTRIBUTES),
         effects=tuple(effects),
     )
 
@@ -49,20 +52,20 @@ def starting_points(points, count, extent, rng):
 def initial_parameters(preset, design, rng, points=None):
     """The Parameters of a model before training; `points` [A, 3] replace the random ones.
 
-    Their names are x_a, f_a, log_s, log_l, O_a, then "psi_alpha.W0" and so on for the networks,
-    then "grid.0" and so on, and in the coded design "log_step".
+    Their names are x_a, those of ATTRIBUTES, "psi_alpha.W0" and so on for the networks, and
+    "grid.0" and so on.
     """
     points = starting_points(points, preset.anchors, preset.extent, rng)
     x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
     A = len(x_a)
-    log_reach = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)
-    arrays = {
-        "x_a": x_a,
-        "f_a": rng.normal(size=(A, design.d)) * preset.feature_std,
-        "log_s": log_reach,
-        "log_l": log_reach,
-        "O_a": np.zeros((A, design.k, 3)),
+    start = {
+        "feature": rng.normal(size=(A, design.d)) * preset.feature_std,
+        "spacing": np.log(neighbour_distance(x_a))[:, None],
+        "zero": 0.0,
     }
+    arrays = {"x_a": x_a}
+    for row in ATTRIBUTES:
+        arrays[row.parameter] = np.broadcast_to(start[row.start], (A, *row.sizes(design)))
     for name, shapes in design.layers().items():
         arrays.update(random_layers(rng, name, shapes))
     arrays[f"psi_alpha.b{len(design.hidden)}"] += preset.opacity_bias
@@ -76,7 +79,4 @@ def initial_parameters(preset, design, rng, points=None):
     arrays |= {  # HAC: random signs with a gradient
         f"grid.{i}": rng.uniform(-1e-4, 1e-4, shape) for i, shape in enumerate(design.levels())
     }
-    if design.coded:
-        p = Parameters(arrays)
-        arrays["log_step"] = first_log_steps({name: p.network(name) for name in design.layers()})
     return Parameters(arrays)

@@ -3,7 +3,7 @@
 `trainer.Trainer` makes it the training of P-4DGS, `baselines.explicit.Trainer` that of the methods
 that the paper compares itself with. A subclass supplies
 
-    gradients_of(view)  Losses, what density control has Seen, the gradients as Parameters, and
+    gradients_of(view)  Losses, what was Rendered, the gradients as Parameters, and
                         those of the splats' mean2d; raises NotFinite
     rate_of(name)       the current learning rate of an array, or of all arrays of a network
     adjust()            density control, at the end of every window of `preset.grow_every`
@@ -26,10 +26,12 @@ from .density import Statistics
 from .parameters import Adam
 from .watch import NotFinite, first_bad
 
-MOST_MOMENTS = 2**28  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
+MAX_MOMENT_BYTES = (
+    2**28
+)  # bytes of moments for SSIM that are kept: 682 views of 64x64, 4 of 800x800
 
 
-EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
@@ -49,7 +51,7 @@ class Loop:
         self.iteration = 0
         self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
         self.history = []  # rows of training.csv
-        self.moments = {}  # by view, as long as they fit into MOST_MOMENTS bytes
+        self.moments = {}  # by view, as long as they fit into MAX_MOMENT_BYTES bytes
 
     def start(self, parameters):
         """Take over the first parameters, with zero Adam moments."""
@@ -70,33 +72,33 @@ class Loop:
     def moments_of(self, view):
         """The moments of the truth for SSIM, which are the same at every visit.
 
-        They are four float64 images, and computed anew where other views have filled MOST_MOMENTS.
+        They are four float64 images, computed anew where other views have filled MAX_MOMENT_BYTES.
         """
         if id(view) in self.moments:
             return self.moments[id(view)]
         moments = ssim.moments(view.image)
-        if 32 * view.image.size * (len(self.moments) + 1) <= MOST_MOMENTS:
+        if 32 * view.image.size * (len(self.moments) + 1) <= MAX_MOMENT_BYTES:
             self.moments[id(view)] = moments
         return moments
 
     def step(self):
-        """Do one iteration; returns its Losses, what was Seen, and the View.
+        """Do one iteration; returns its Losses, what was Rendered, and the View.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
         view, p = self.next_view(), self.parameters
-        losses, seen, gradients, mean2d_bar = self.gradients_of(view)
+        losses, rendered, gradients, mean2d_bar = self.gradients_of(view)
         rate_of = cache(self.rate_of)  # all arrays of a network have the same rate
         self.adam.step(p, gradients, lambda name: rate_of(name.split(".")[0]))
         if not np.isfinite(p.vector).all():
-            found = first_bad(p.arrays, "after Adam's step, parameter ")
-            raise NotFinite(f"iteration {self.iteration}: {found}")
+            phrase = first_bad(p.arrays, "after Adam's step, parameter ")
+            raise NotFinite(f"iteration {self.iteration}: {phrase}")
         if self.iteration >= self.preset.collect_from:
-            self.statistics.collect(seen, mean2d_bar, view.camera.width, view.camera.height)
+            self.statistics.collect(rendered, mean2d_bar, view.camera.width, view.camera.height)
         self.iteration += 1
         if self.iteration % self.preset.grow_every == 0:
             self.adjust()
-        return losses, seen, view
+        return losses, rendered, view
 
     def change_rows(self, names, keep, added):
         """Drop rows of the arrays `names` and append `added`, whose Adam moments are zero."""
@@ -109,12 +111,12 @@ class Loop:
     def run(self, report=None):
         """Train to the end and return the model.
 
-        `report(trainer, losses, seen, view)` is called after each step.
+        `report(trainer, losses, rendered, view)` is called after each step.
         """
         while self.iteration < self.preset.iterations:
-            seen = self.step()
+            results = self.step()
             if report:
-                report(self, *seen)
+                report(self, *results)
         return self.model()
 
 
@@ -134,11 +136,11 @@ class Progress:
         self.stream, self.live = stream, stream is not None and stream.isatty()
         self.shown, self.steps = time.monotonic(), 0  # the time of the last line, and steps since
 
-    def __call__(self, trainer, losses, seen, view):
+    def __call__(self, trainer, losses, rendered, view):
         done, total = trainer.iteration, trainer.preset.iterations
-        stage, decibel = trainer.preset.stage(done - 1), psnr(seen.image, view.image)
-        counts = trainer.primitives, len(seen.index)
-        if done % min(EVERY, max(total // 50, 1)) == 0 or done == total:
+        stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
+        counts = trainer.primitives, len(rendered.index)
+        if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
             trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1
         seconds = time.monotonic() - self.shown

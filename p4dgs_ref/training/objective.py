@@ -9,10 +9,12 @@ returns the losses and `back`, which calls their backwards in the opposite order
 where a quantity was used twice.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from ..attributes import ATTRIBUTES, GROUPS
 from ..equations import (
     anchor_rate,
     hash_rate,
@@ -23,15 +25,21 @@ from ..equations import (
     total_loss,
 )
 from ..equations.numerics import in_precision_of
-from ..model import GROUPS, Anchors, beside, context, groups, predict, pull, split
+from ..model import (
+    Anchors,
+    concatenate_groups,
+    context,
+    groups,
+    move,
+    predict,
+    split,
+    with_backward,
+)
 from ..splatting import render
 from ..splatting.settings import Settings
-from . import coded_networks
-
-ATTRIBUTES = ("f_a", "log_s", "log_l", "O_a")  # the parameters of the groups f, s, l, O
 
 
-class Fixed(NamedTuple):
+class StepInputs(NamedTuple):
     """The inputs of an iteration that are not parameters."""
 
     mask: np.ndarray  # [A, k]  children that are kept (Q15)
@@ -41,10 +49,9 @@ class Fixed(NamedTuple):
     lambda_rate: float
     lambda_ssim: float
     settings: Settings  # of the renderer
-    weight: np.ndarray | float = 1.0  # of a pixel in L1, [H, W, 1] or one for all (B3)
-    # Only of the coded design, in stage 4 (B1):
-    coded: coded_networks.Layout | None = None
-    network_price: float = 1.0  # of a bit of a network, in bits of an anchor
+    weight: np.ndarray | float = 1.0  # of a pixel in L1, [H, W, 1] or one for all
+    R_more: float = 0.0  # bits that the file needs besides those of anchors and hash grid
+    move: Callable = move  # Eqs. (5) and (6)
 
 
 class Losses(NamedTuple):
@@ -58,7 +65,7 @@ class Losses(NamedTuple):
     bits: float
 
 
-class Seen(NamedTuple):
+class Rendered(NamedTuple):
     """What growing and pruning look at."""
 
     alpha: np.ndarray  # [A, k]  opacities before masking
@@ -69,53 +76,52 @@ class Seen(NamedTuple):
 
 def linear_values(p):
     """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
-    return beside(p["f_a"], np.exp(p["log_s"]), np.exp(p["log_l"]), p["O_a"])
+    trained = [(p[row.parameter], row.is_log) for row in ATTRIBUTES]
+    return concatenate_groups(*(np.exp(values) if is_log else values for values, is_log in trained))
 
 
-def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
-    """The Losses of one view, what density control has Seen, and `back`.
+def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
+    """The Losses of one view, what was Rendered, for density control, and `back`.
 
-    `networks` and `grids` are views into the Parameters p. u [A, n] is the noise in [-1/2, 1/2);
-    rendering and rate share it (Q23), and stage 1 does not use it. `truth_moments` are the
-    `ssim.moments` of the view's image, if they are at hand. back() returns the gradients of L_total
-    as Parameters of the same layout, and those of the splats' mean2d [N, 2].
+    `networks` and `grids` are views into the Parameters p, `inputs` are StepInputs. u [A, n] is the
+    noise in [-1/2, 1/2); rendering and rate share it (Q23), and stage 1 does not use it.
+    `truth_moments` are the `ssim.moments` of the view's image, if they are at hand. back() returns
+    the gradients of L_total as Parameters of the same layout, and those of the splats' mean2d
+    [N, 2].
     """
-    stage, values = fixed.stage, linear_values(p)
-    bits, L_rate, R_networks = 0.0, 0.0, 0.0
-    if fixed.coded is not None:
-        networks, R_networks, back_networks = coded_networks.coded(p, fixed.coded)
+    stage, values = inputs.stage, linear_values(p)  # [A, n]
+    bits, L_rate = 0.0, 0.0
     noisy, q = values, np.array([design.Q_0], values.dtype)
     if stage == 4:
-        ctx, back_context = context(design, networks, grids, fixed.located)
+        ctx, back_context = context(design, networks, grids, inputs.located)
         q = ctx.q
     if stage > 1:
         noisy, back_noise = add_noise(values, u, q, design)
-    anchors = Anchors(p["x_a"], *split(noisy, design), fixed.mask)
+    anchors = Anchors(p["x_a"], *split(noisy, design), inputs.mask)
     g, alpha, back_predict = predict(
         design,
         networks,
         anchors,
         view.camera.center.astype(values.dtype),
         view.time if stage > 2 else None,
-    )
-    (image, _, visible), back_render = pull(
+        inputs.move,
+    )  # g: the N kept children of all A anchors, [N, ...]
+    (image, _, visible), back_render = with_backward(
         render,
         *g[:5],
         view.camera,
-        fixed.background,
-        fixed.settings,
+        inputs.background,
+        inputs.settings,
         "occlusion" in design.effects,
     )
     truth = view.image.astype(image.dtype)
-    (L_render, L1, D_SSIM), back_image = pull(
-        render_loss, image, truth, fixed.lambda_ssim, truth_moments, fixed.weight
+    (L_render, L1, D_SSIM), back_image = with_backward(
+        render_loss, image, truth, inputs.lambda_ssim, truth_moments, inputs.weight
     )
     if stage == 4:
-        (bits, L_rate), back_rate = rate(
-            noisy, ctx, grids, fixed.mask, design, fixed.network_price * R_networks
-        )
-    L_total, back_total = pull(
-        total_loss, np.float64(L_render), np.float64(L_rate), fixed.lambda_rate
+        (bits, L_rate), back_rate = rate(noisy, ctx, grids, inputs.mask, design, inputs.R_more)
+    L_total, back_total = with_backward(
+        total_loss, np.float64(L_render), np.float64(L_rate), inputs.lambda_rate
     )
 
     def back():
@@ -123,30 +129,28 @@ def loss(p, design, networks, grids, fixed, view, u, truth_moments=None):
         splats = back_render(back_image(losses_bar["L_render"])["image"])
         g_bar = [splats[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")]
         anchors_bar, networks_bar = back_predict(*g_bar)
-        noisy_bar = beside(*(anchors_bar[name] for name in ("f_a", "s_a", "l_a", "O_a")))
+        noisy_bar = concatenate_groups(*(anchors_bar[row.name] for row in ATTRIBUTES))  # [A, n]
         if stage == 4:
-            coded_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
+            rated_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
             # one noisy value is rendered and coded (Q23)
-            values_bar, noise_q_bar = back_noise(noisy_bar + coded_bar)
+            values_bar, noise_q_bar = back_noise(noisy_bar + rated_bar)
             read, context_bar = back_context(noise_q_bar + q_bar, mu_bar, sigma_bar)
             networks_bar |= context_bar
             for i, (read_bar, counted_bar) in enumerate(zip(read, counted)):
                 gradients[f"grid.{i}"][...] = read_bar + counted_bar
         else:
             values_bar = back_noise(noisy_bar)[0] if stage > 1 else noisy_bar
-        lengths = slice(design.d, design.d + 6)  # of s and l, trained as logarithms (Q5)
-        values_bar[:, lengths] *= values[:, lengths]
         gradients["x_a"][...] = anchors_bar["x_a"]
-        for name, bar in zip(ATTRIBUTES, groups(values_bar, design)):
-            gradients[name][...] = bar.reshape(gradients[name].shape)
+        columns = zip(ATTRIBUTES, groups(values, design), groups(values_bar, design))
+        for row, linear, bar in columns:
+            slope = linear if row.is_log else 1  # of exp, where the logarithm is trained (Q5)
+            gradients[row.parameter][...] = (bar * slope).reshape(gradients[row.parameter].shape)
         for name, network_bar in networks_bar.items():
             gradients.fill(name, network_bar)
-        if fixed.coded is not None:
-            back_networks(gradients, fixed.network_price * losses_bar["L_rate"] / values.size)
         return gradients, splats["mean2d"]
 
     losses = Losses(*map(float, (L_total, L_render, L1, D_SSIM, L_rate, bits)))
-    return losses, Seen(alpha, g.index, visible, image), back
+    return losses, Rendered(alpha, g.index, visible, image), back
 
 
 def add_noise(values, u, steps, design):
@@ -154,8 +158,8 @@ def add_noise(values, u, steps, design):
 
     back(noisy_bar) returns the gradients of the values [A, n] and of the steps [A, 4].
     """
-    columns = zip(groups(values, design), groups(u, design), np.split(steps, 4, axis=1))
-    noisy, backs = zip(*(pull(noise, f, u_f, q_f) for f, u_f, q_f in columns))
+    columns = zip(groups(values, design), groups(u, design), np.split(steps, len(GROUPS), axis=1))
+    noisy, backs = zip(*(with_backward(noise, f, u_f, q_f) for f, u_f, q_f in columns))
 
     def back(noisy_bar):
         bars = [back_f(bar) for back_f, bar in zip(backs, groups(noisy_bar, design))]
@@ -164,26 +168,26 @@ def add_noise(values, u, steps, design):
     return np.concatenate(noisy, axis=1), back
 
 
-def rate(noisy, ctx, grids, mask, design, R_networks=0.0):
+def rate(noisy, ctx, grids, mask, design, R_more=0.0):
     """Return (bits, L_rate) of the noisy attributes and the grids, and `back`.
 
-    Eqs. (11), (13), (14) and (17), with the bits of coded networks as one more term of the last
-    (B1). The rate is per coded number of the anchors (Q12). back(L_rate_bar) returns the gradients
-    of noisy attributes, mu and sigma [A, n], of the steps [A, 4] and of the grids.
+    Eqs. (11), (13), (14) and (17); R_more bits are added to those of the grids. The rate is per
+    coded number of the anchors (Q12). back(L_rate_bar) returns the gradients of noisy attributes,
+    mu and sigma [A, n], of the steps [A, 4] and of the grids.
     """
     q = np.repeat(ctx.q, design.widths, axis=1)  # all numbers of a group share its step
-    bits_a, back_bits = pull(likelihood, noisy, ctx.mu, ctx.sigma, q)
-    R_anchor, back_anchor = pull(anchor_rate, *split(bits_a, design), mask)
-    (R_hash, _, _), back_hash = pull(hash_rate, grids)
-    R_rest = R_hash + in_precision_of(R_hash, R_networks)
-    rates, back_rates = pull(rate_loss, R_anchor, R_rest, noisy.size)
+    bits_a, back_bits = with_backward(likelihood, noisy, ctx.mu, ctx.sigma, q)
+    R_anchor, back_anchor = with_backward(anchor_rate, *split(bits_a, design), mask)
+    (R_hash, _, _), back_hash = with_backward(hash_rate, grids)
+    R_rest = R_hash + in_precision_of(R_hash, R_more)
+    rates, back_rates = with_backward(rate_loss, R_anchor, R_rest, noisy.size)
 
     def back(L_rate_bar):
         rates_bar = back_rates(L_rate_bar=L_rate_bar)
         grids_bar = back_hash(rates_bar["R_hash"])["grids"]
         parts = back_anchor(rates_bar["R_anchor"])
-        bars = back_bits(beside(*(parts[f"bits_{group}"] for group in GROUPS)))
-        group_starts = np.cumsum((0, *design.widths[:3]))
+        bars = back_bits(concatenate_groups(*(parts[f"bits_{group}"] for group in GROUPS)))
+        group_starts = np.cumsum((0, *design.widths[:-1]))
         q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
         return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar
 

@@ -1,18 +1,19 @@
-"""Every constant of training by name: the two settings of the paper and five small ones.
+"""Every constant of training by name: the two settings of the paper and three small ones.
 
-`Preset` is a table with one row a field. From it follow SOURCES, what `choose` accepts, the values
-of `tiny`, and what `initial.design_of` puts into a file. `differences(preset)` lists what a preset
+`Preset` is a table with one row a field. From it follow what `choose` accepts, the values of
+`tiny`, and what `initial.design_of` puts into a file. `differences(preset)` lists what a preset
 changes.
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
-from ..model import MOST_NUMBERS, declared_numbers
+from ..model import MAX_NUMBERS, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
-LARGEST = 1e18  # of a field: an integer of a hundred digits could not become a float
+MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
 def between(least, most):
@@ -28,8 +29,8 @@ def layers(most):
     )
 
 
-POSITIVE = (f"a positive number up to {LARGEST:g}", lambda value: 0 < value <= LARGEST)
-NOT_NEGATIVE = between(0, LARGEST)
+POSITIVE = (f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE)
+NOT_NEGATIVE = between(0, MAX_VALUE)
 RATE = (
     "first,last, two positive rates or 0,0",
     lambda ends: (
@@ -40,14 +41,13 @@ STEP = between(2.0**-40, 2.0**40)
 FLAG = ("true or false", lambda value: True)
 ENDS = (
     "four rising iterations",
-    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= LARGEST,
+    lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE,
 )
 GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off"))
 
 # Where values of the paper's presets come from, with the number of the choice in
 # tutorials/reference.md. A rate has two values, the first and the last.
 AS_PARENTS = "off, as the parents (Q28)"
-OFF = "off, as the paper"
 SCAFFOLD_Q15, SCAFFOLD_Q16 = "Scaffold-GS (Q15, Q16)", "Scaffold-GS (Q16)"
 LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q17)"
 
@@ -55,16 +55,15 @@ LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q
 HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
 
-_rows = []  # of all fields but the name
-
 
 def row(paper, tiny, requirement, source, meaning) -> Any:
-    """Note what the table says of its next field; returns the value in `paper_synthetic`."""
-    _rows.append((tiny, requirement, source, meaning))
-    return paper
+    """A field of the table whose value in `paper_synthetic` is the default."""
+    columns = {"tiny": tiny, "requirement": requirement, "source": source, "meaning": meaning}
+    return field(default=paper, metadata=columns)
 
 
-class Preset(NamedTuple):
+@dataclass(frozen=True)
+class Preset:
     """The table of all fields. A file stores those that `model.Design` has, too.
 
     name: type = row(in paper_synthetic, in tiny, requirement, source of the former, meaning)
@@ -106,11 +105,6 @@ class Preset(NamedTuple):
     Q_l: float = row(0.001, 0.01, STEP, "paper", "base step of l")
     Q_O: float = row(0.2, 0.1, STEP, "paper", "base step of O")
     lambda_rate: float = row(1e-3, 5e-4, NOT_NEGATIVE, "HAC (Q12)", "weight of the rate")
-    coded: bool = row(False, False, FLAG, OFF, "networks that pay for their bits (B1)")
-    position_bits: int = row(
-        16, 16, between(1, 16), "ours (Q14)", "positions of few bits per axis, sorted (B2)"
-    )
-    network_ramp: int = row(0, 0, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     # stages and loss
     stage_ends: tuple = row(
         (3000, 5000, 10_000, 40_000),
@@ -120,7 +114,6 @@ class Preset(NamedTuple):
         "iterations at which stages 1 to 4 end",
     )
     lambda_ssim: float = row(0.2, 0.2, between(0, 1), "3DGS (Q13)", "weight of D-SSIM")
-    body: bool = row(False, False, FLAG, OFF, "more weight in L1 for what moves (B3)")
     # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
     lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")
@@ -136,7 +129,6 @@ class Preset(NamedTuple):
     lr_grid: tuple = row((0.0016, 1e-5), (0.01, 1e-3), RATE, LAST_HAC, "hash grid")
     lr_p: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_p")
     lr_q: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_q")
-    lr_step: tuple = row((0.0, 0.0), (0.0, 0.0), RATE, OFF, "logarithms of coded networks' steps")
     # growing, pruning and masking
     grow: str = row("scaffold", "reseed", GROWING, SCAFFOLD_Q16, "how anchors grow")
     grow_from: int = row(1500, 100, NOT_NEGATIVE, SCAFFOLD_Q16, "last iteration without growing")
@@ -163,8 +155,15 @@ class Preset(NamedTuple):
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
-ROWS = dict(zip(Preset._fields[1:], _rows, strict=True))
-SOURCES = {field: source for field, (_, _, source, _) in ROWS.items()}
+def rows_of(preset):
+    """The rows {name: field} of a preset or of its class; `metadata` has the columns of a row."""
+    return {row.name: row for row in fields(preset) if row.metadata}
+
+
+def value_of(preset, row):
+    """The value of a field in a preset, where the preset has it, else what the paper has."""
+    return getattr(preset, row.name, row.default)
+
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -177,43 +176,12 @@ PAPER_REAL = Preset(
     stage_ends=(3000, 4000, 10_000, 20_000),
     mask_from=4000,
 )
-TINY = Preset("tiny", *(tiny for tiny, *_ in _rows))
-# Its networks pay for their bits (B1), its positions have fewer of them (B2), and what moves counts
-# more until it has learned to move (B3).
-TINY_CODED = TINY._replace(
-    name="tiny_coded",
-    coded=True,
-    position_bits=10,
-    network_ramp=1000,
-    body=True,
-    lr_step=(0.02, 0.002),
-)
-# For quality, in at most three times the time. Anchors of four children fitted the training views
-# of `figure` nearly as well as those of one, but new views showed a hole in a leg. A single child
-# needs only shallow networks and, because it has an offset of its own, few bits of a position.
-SMALL_CODED = TINY_CODED._replace(
-    name="small_coded",
-    anchors=1000,
-    k=1,
-    hidden=(32,),
-    position_bits=8,
-    opacity_bias=0.6,  # single children share one bias: from 0.3, all faded out with one seed of 16
-    deformation=(128, 128),
-    Q_f=0.125,
-    Q_s=0.005,
-    Q_l=0.005,
-    Q_O=0.05,
-    lambda_rate=3e-4,
-    stage_ends=(200, 300, 3000, 6500),
-    decay_from=3000,
-    lr_d=(0.0015, 4e-5),
-    grow_until=2500,
-    mask_from=3000,
-)
+TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in rows_of(Preset).items()})
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
-TINY_REAL = TINY._replace(name="tiny_real", lr_x=PAPER_REAL.lr_x)
+TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests; published files were made with its learning rates.
-SMOKE = TINY._replace(
+SMOKE = replace(
+    TINY,
     name="smoke",
     anchors=20,
     d=4,
@@ -241,78 +209,68 @@ SMOKE = TINY._replace(
 )
 
 PRESETS: dict[str, Preset] = {
-    preset.name: preset
-    for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_CODED, SMALL_CODED, TINY_REAL, SMOKE)
+    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_REAL, SMOKE)
 }
 
 
 def differences(preset, against=PAPER_SYNTHETIC):
-    """Every difference as (field, value of the paper, value of the preset)."""
+    """Every difference as (field, value of the other, value of the preset)."""
     return [
-        (field, getattr(against, field), value)
-        for field, value in preset._asdict().items()
-        if field != "name" and getattr(against, field) != value
+        (name, value_of(against, row), value_of(preset, row))
+        for name, row in rows_of(preset).items()
+        if value_of(against, row) != value_of(preset, row)
     ]
 
 
-def beyond(preset):
-    """What goes beyond the paper in a preset, a sentence each."""
-    fields = [field for field, _, _ in differences(preset, paper_design(preset))]
-    return [ROWS[field][3] for field in fields if "(B" in ROWS[field][3]]
-
-
-def paper_design(preset):
-    """The preset without what goes beyond the paper (B1 to B3), under the same name."""
-    beyond = [field for field, _, _ in differences(TINY_CODED, TINY)]
-    return preset._replace(**{field: getattr(PAPER_SYNTHETIC, field) for field in beyond})
-
-
-def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Preset:
-    """A preset, or the preset of that name, with some fields changed.
+def choose(
+    preset: str | Preset, changes: Mapping[str, Any] | None = None, presets=PRESETS
+) -> Preset:
+    """A preset, or the one of that name in `presets`, with some fields changed.
 
     A change may also be a text, as on the command line. Raises ValueError with the name of the
     preset or field and what was expected.
     """
     if isinstance(preset, str):
-        if preset not in PRESETS:
-            raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
-        preset = PRESETS[preset]
-    chosen = preset._replace(**read_changes(preset.name, PAPER_SYNTHETIC._asdict(), changes))
-    for field, (_, (expected, is_met), _, _) in ROWS.items():
-        value = getattr(chosen, field)
+        if preset not in presets:
+            raise ValueError(f"preset {preset!r}: expected one of {', '.join(presets)}")
+        preset = presets[preset]
+    defaults = {name: row.default for name, row in rows_of(preset).items()}
+    changed = replace(preset, **read_changes(preset.name, defaults, changes))
+    for name, row in rows_of(preset).items():
+        (expected, is_met), value = row.metadata["requirement"], getattr(changed, name)
         if not is_met(value):
-            raise ValueError(f"field {field!r}: expected {expected}, got {value!r}")
-    if not chosen.grid_3d + chosen.grid_2d:
+            raise ValueError(f"field {name!r}: expected {expected}, got {value!r}")
+    if not changed.grid_3d + changed.grid_2d:
         raise ValueError(
             "field 'grid_3d': expected a level here or in grid_2d; the context has no other input"
         )
-    if chosen.position_bits != 16 and not chosen.coded:
-        raise ValueError("field 'position_bits': expected 16 where the field coded is false")
-    parts = declared_numbers(design_of(chosen, MODEL_EFFECTS), chosen.anchors)
-    if sum(parts.values()) > MOST_NUMBERS:
+    parts = declared_numbers(design_of(changed, MODEL_EFFECTS), changed.anchors)
+    if sum(parts.values()) > MAX_NUMBERS:
         raise ValueError(
-            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MOST_NUMBERS} "
+            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MAX_NUMBERS} "
             f"numbers in a model, as many as a file may hold, got {parts}"
         )
-    return chosen
+    return changed
 
 
-def read_changes(name, fields, changes):
-    """The values {field: value} of changes to the preset of that name; `fields` has a value each.
+def read_changes(name, defaults, changes):
+    """The values {field: value} of changes to the preset of that name.
+
+    `defaults` has a value of every field.
 
     Raises ValueError for an unknown field, and for a value of another type.
     """
     values = {}
-    for field, value in (changes or {}).items():
-        if field == "name" or field not in fields:
+    for key, value in (changes or {}).items():
+        if key == "name" or key not in defaults:
             raise ValueError(
-                f"field {field!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
+                f"field {key!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
             )
         try:
-            values[field] = read_value(value, fields[field])
+            values[key] = read_value(value, defaults[key])
         except (ValueError, KeyError, TypeError):
             raise ValueError(
-                f"field {field!r}: expected a value like {fields[field]!r}, got {value!r}"
+                f"field {key!r}: expected a value like {defaults[key]!r}, got {value!r}"
             ) from None
     return values
 

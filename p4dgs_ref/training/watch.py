@@ -11,16 +11,15 @@ from importlib import import_module
 import numpy as np
 
 from ..splatting import fast
-from ..table import BEYOND, EQUATIONS
-from . import objective
+from ..table import EQUATIONS
 
 
-def equation_codes():
-    """{code object: (key, "forward" or "backward")} of all equations and of the fast renderer.
+def equation_codes(equations=EQUATIONS):
+    """{code object: (key, "forward" or "backward")} of equations and of the fast renderer.
 
     The fast renderer has the key "compositing, fast".
     """
-    modules = {key: import_module(eq.module) for key, eq in {**EQUATIONS, **BEYOND}.items()}
+    modules = {key: import_module(eq.module) for key, eq in equations.items()}
     modules["compositing, fast"] = fast
     return {
         getattr(module, name).__code__: (key, name)
@@ -70,9 +69,12 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(p, *inputs):
-    """Repeat an iteration; a phrase that names where it first stops being finite."""
-    found, running = [first_bad(p.arrays, "parameter: ")], []
+def find_first(loss, inputs, equations=EQUATIONS):
+    """A phrase that names where an iteration, `loss(*inputs)`, first stops being finite.
+
+    The first of the inputs are the Parameters.
+    """
+    phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
         key, name = mark
@@ -83,17 +85,17 @@ def find_first(p, *inputs):
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
         if name == "forward":
-            equation = {**EQUATIONS, **BEYOND}[key.split(",")[0]]
-            found.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
+            equation = equations[key.split(",")[0]]
+            phrases.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
         else:
-            found.append(first_bad(value, f"{where}, backward, gradient of: "))
+            phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
 
-    with np.errstate(all="ignore"), watching(equation_codes(), see):
-        losses, _, back = objective.loss(p, *inputs)
+    with np.errstate(all="ignore"), watching(equation_codes(equations), see):
+        losses, _, back = loss(*inputs)
         gradients, _ = back()
-    found += [
+    phrases += [
         first_bad(losses._asdict(), "objective: "),
         first_bad(gradients.arrays, "gradient of: "),
         "a NaN or an infinity that did not come back when the iteration was repeated",
     ]
-    return next(filter(None, found))
+    return next(filter(None, phrases))

@@ -63,7 +63,7 @@ function modelOf(tensors, settings) {
   for (const name of ["psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d"]) {
     networks[name] = network(tensors, `${name}_`);
   }
-  const model = { networks: { ...networks, psi_t: [] }, header: settings, masks: data("mask") };
+  const model = { networks, header: settings, masks: data("mask") };
   for (const name of ["x_a", "f_a", "s_a", "l_a", "O_a"]) model[name] = data(name);
   return model;
 }
@@ -158,7 +158,7 @@ const PORT = {
   },
   deformation(tensors, { t, L_x, L_t }) {
     const [layers, { x }] = [network(tensors), tensors];
-    const deltas = p4dgs.deformation(layers, [], 3, x.data, t, { L_x, L_t });
+    const deltas = p4dgs.deformation(layers, 3, x.data, t, { L_x, L_t });
     const names = ["delta_x", "delta_s", "delta_r"];
     const head = (i) => real([x.shape[0], layers.at(i - 3).J], deltas[i]);
     return Object.fromEntries(names.map((name, i) => [name, head(i)]));
@@ -207,7 +207,7 @@ const PORT = {
     const effects = all.filter((_, i) => layers.at(i - 3).J > 0);
     const model = {
       header: { effects, ...settings },
-      networks: { psi_d: layers.filter(({ J }) => J > 0), psi_t: [] },
+      networks: { psi_d: layers.filter(({ J }) => J > 0) },
     };
     return moved(gaussians, p4dgs.temporalPrediction(model, gaussians, settings.t));
   },
@@ -259,7 +259,7 @@ function arraysOf(model) {
   const sections = {
     anchor_mlps: ["psi_alpha", "psi_c", "psi_r", "psi_s"],
     context_mlps: ["psi_p", "psi_q"],
-    deformation_mlp: ["psi_d", "psi_t"],
+    deformation_mlp: ["psi_d"],
   };
   for (const [section, names] of Object.entries(sections)) {
     if (!(section in model.bytes)) continue;

@@ -217,11 +217,8 @@
     tau_alpha: [real(-1, 1), 0, 0],
     effects: [distinct(list(0, 7, oneOf(EFFECTS))), MOVING, EFFECTS],
     position_bits: [whole(1, 16), 10, 16],
-    time_net: [widths(1)],
-    skip: [oneOf([true])],
   };
   const REAL = ["background", "Q_0", "tau_alpha"];
-  const OPTIONAL = ["time_net", "skip"];
   const inBases = Object.keys(FIELDS).filter((name) => FIELDS[name].length > 1);
   const base = (i) => Object.fromEntries(inBases.map((name) => [name, FIELDS[name][i]]));
   const BASES = new Map(Object.entries({ tiny: base(1), paper: base(2) }));
@@ -256,14 +253,11 @@
     for (const name of REAL) if (Object.hasOwn(own, name)) own[name] = plain(own[name]);
     const header = { ...base, ...own };
     const known = Object.keys(FIELDS).filter((name) => version === 2 || name !== "position_bits");
-    const needed = known.filter((name) => !OPTIONAL.includes(name));
-    for (const name of needed) section.need(Object.hasOwn(header, name), `no field ${name}`);
+    for (const name of known) section.need(Object.hasOwn(header, name), `no field ${name}`);
     for (const [name, value] of Object.entries(header)) {
       const right = known.includes(name) && FIELDS[name][0](value);
       section.need(right, `field ${name} is unknown or wrong`);
     }
-    const deep = !header.skip || header.deformation.length >= 3;
-    section.need(deep, "field skip: expected at least 3 widths of deformation");
     return header;
   }
 
@@ -271,19 +265,15 @@
   const nodesOf = ({ table }, [{ length: D }, R]) => Math.min(R ** D, table[D === 3 ? 0 : 1]);
   const entriesOf = (header) =>
     header.F * total(header.grid.map((level) => nodesOf(header, level)));
-  // With a skip, the layer of psi_d that reads the inputs again.
-  const skipOf = (trunk) => Math.floor(trunk.length / 2) + 1;
 
   /** Every network as a list of its layers [I, J], {psi_alpha: [[20, 32], ...], ...}. */
   function layersOf(header) {
-    const { d, k, F, hidden, context, effects, deformation, time_net, L_x, L_t } = header;
+    const { d, k, F, hidden, context, effects, deformation, L_x, L_t } = header;
     const chain = (...widths) => widths.slice(1).map((J, i) => [widths[i], J]);
     const view = (effect) => d + (effects.includes(effect) ? 4 : 0);
     const h = F * header.grid.length;
-    const E_t = 1 + 2 * L_t;
-    const inputs = 3 * (1 + 2 * L_x) + (time_net ?? [E_t]).at(-1);
+    const inputs = 3 * (1 + 2 * L_x) + 1 + 2 * L_t;
     const trunk = chain(inputs, ...deformation);
-    if (header.skip) trunk[skipOf(trunk)][0] += inputs;
     const width = deformation.at(-1) ?? inputs;
     const heads = MOTION.filter((effect) => effects.includes(effect));
     const ends = heads.map((effect) => [width, effect === "rotation" ? 4 : 3]);
@@ -295,7 +285,6 @@
       psi_p: chain(h, ...context, 2 * (d + 6 + 3 * k)),
       psi_q: chain(h, ...context, 4),
       psi_d: heads.length ? [...trunk, ...ends] : [],
-      psi_t: heads.length && time_net ? chain(E_t, ...time_net) : [],
     };
   }
 
@@ -513,7 +502,7 @@
   const NETWORKS = {
     anchor_mlps: ["psi_alpha", "psi_c", "psi_r", "psi_s"],
     context_mlps: ["psi_p", "psi_q"],
-    deformation_mlp: ["psi_d", "psi_t"],
+    deformation_mlp: ["psi_d"],
   };
 
   /** All networks, {name: [{I, J, W, b}, ...]}; those of no layers have no numbers in the file. */
@@ -869,19 +858,14 @@
   }
 
   /** Eq. (5): (delta_x, delta_s, delta_r) = psi_d(concat(E(x), E(t))), a list, one per head.
-   *  The last `heads` layers of psi_d stand side by side; psi_t may be empty. */
-  function deformation(psi_d, psi_t, heads, x, t, { L_x, L_t, skip }) {
+   *  The last `heads` layers of psi_d stand side by side. */
+  function deformation(psi_d, heads, x, t, { L_x, L_t }) {
     const N = x.length / 3;
-    const E_t = mlp(psi_t, positionalEncoding([t], 1, L_t), 1);
-    const widths = [3 * (1 + 2 * L_x), E_t.length];
-    const inputs = beside(N, [positionalEncoding(x, 3, L_x), widths[0]], [E_t, widths[1]]);
+    const E_t = positionalEncoding([t], 1, L_t);
+    const E_x = [positionalEncoding(x, 3, L_x), 3 * (1 + 2 * L_x)];
     const trunk = psi_d.slice(0, psi_d.length - heads);
-    let h = inputs;
-    trunk.forEach((layer, i) => {
-      const again = skip && i === skipOf(trunk);
-      if (again) h = beside(N, [inputs, total(widths)], [h, trunk[i - 1].J]);
-      h = linear(layer, h, N, true);
-    });
+    let h = beside(N, E_x, [E_t, E_t.length]);
+    for (const layer of trunk) h = linear(layer, h, N, true);
     return psi_d.slice(trunk.length).map((head) => linear(head, h, N, false));
   }
 
@@ -897,8 +881,7 @@
   function temporalPrediction({ header, networks }, gaussians, t) {
     const heads = MOTION.filter((effect) => header.effects.includes(effect));
     if (heads.length === 0) return deformed(gaussians, {});
-    const { psi_d, psi_t } = networks;
-    const deltas = deformation(psi_d, psi_t, heads.length, gaussians.x, t, header);
+    const deltas = deformation(networks.psi_d, heads.length, gaussians.x, t, header);
     return deformed(gaussians, Object.fromEntries(heads.map((name, i) => [name, deltas[i]])));
   }
 

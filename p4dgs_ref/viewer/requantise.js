@@ -9,8 +9,8 @@
   const { roundHalfEven } = p4dgs;
   const UNITS = { mu: 1024, sigma: 16 }; // mu / q in 1/1024, log2(sigma / q) in 1/16
   const MASKED = 1; // masks of the children, in the order of the sections
-  const GATES = ["psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_t"];
-  const SECTION_OF = { psi_d: "deformation_mlp", psi_t: "deformation_mlp" };
+  const GATES = ["psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d"];
+  const SECTION_OF = { psi_d: "deformation_mlp" };
 
   // --- prices -----------------------------------------------------------------------------------
   /** The bits of a symbol: -log2 of its frequency, its low bits, and Elias's code of an escape. */

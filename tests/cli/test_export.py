@@ -84,7 +84,6 @@ def test_the_header_says_what_was_frozen(place, run):
         ("export-ply sum.p4dgs --camera 0", "sum: no such folder; expected"),
         ("export-ply bouncing.p4dgs --scene nowhere", "nowhere: no such folder"),
         ("export-ply bouncing.p4dgs --background red", "--background red"),
-        ("export-ply d3dgs.ply", "d3dgs.ply: expected a .p4dgs file; `p4dgs-ref render` draws"),
         ("view sum.p4dgs bouncing.p4dgs -o bouncing.p4dgs", "bouncing.p4dgs: this is the input"),
         ("export-ply bouncing.p4dgs -o .", ".: expected a regular file"),
         ("export-ply bouncing.p4dgs -o /proc/x/y.ply", "/proc/x: expected a folder"),

@@ -10,26 +10,26 @@ from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError
+from p4dgs_ref.designs import HAS_OURS, choose, fit, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.training.fit import fit
-from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
-from p4dgs_ref.training.trainer import assemble
 
 
-def random_model(seed=0, effects=MODEL_EFFECTS, points=None, time_net=(), skip=False, **changes):
+def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
     """A model without zeros: attributes drawn from its own prior, three children of four kept.
 
-    `changes` replace fields of the preset. `time_net` and `skip` are those of D3DGS (Q1).
+    `changes` replace fields of the preset.
     """
     rng = np.random.default_rng(seed)
-    preset = SMOKE._replace(deformation_gain=0.3, **changes)
-    design = design_of(preset, effects)._replace(time_net=time_net, skip=skip)
-    p = Parameters(initial_parameters(preset, design, rng, points).arrays)
+    base = choose(SMOKE, {"is_coded": True}) if "is_coded" in changes else SMOKE
+    preset = dataclasses.replace(base, deformation_gain=0.3, **changes)
+    kind = trainer_class(preset)
+    design = kind.design_of(preset, effects)
+    p = Parameters(kind.initial_parameters(preset, design, rng, points).arrays)
     last = f"psi_p.b{len(design.context)}"
     p[last][...] = rng.uniform(-5, 0.5, p[last].shape)  # raw deviations from fine to coarse
     means = np.repeat([0.0, 2.0, 0.0], (design.d, 6, 3 * design.k))
@@ -41,7 +41,7 @@ def random_model(seed=0, effects=MODEL_EFFECTS, points=None, time_net=(), skip=F
             p[name][:1] = -0.0  # zero of either sign counts as +1
     mask = rng.random((len(p["x_a"]), design.k)) < 0.75
     mask[0, 0] = True  # at least one anchor stays
-    model = assemble(p, design, mask, None, rng.random(3))
+    model = kind.assemble(p, design, mask, None, rng.random(3))
     ctx = exact_context(model)
     f, s, l, O = split(ctx.mu + ctx.sigma * rng.normal(size=ctx.mu.shape), design)
     return changed(model, f_a=f, s_a=s, l_a=l, O_a=O)
@@ -76,7 +76,6 @@ MANY = dict(
     table_2d=300,
 )
 LEAST = dict(k=1, hidden=(), context=(), grid_3d=(), grid_2d=(5,))
-AS_D3DGS = dict(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True)
 TURNING = dict(deformation=(), grid_3d=(3, 4), grid_2d=())
 
 MAKE = {
@@ -87,14 +86,13 @@ MAKE = {
     "no_effects": lambda: random_model(4, (), **LEAST),
     "turning": lambda: random_model(5, ("rotation", "view_geometry"), **TURNING),
     "flat": lambda: random_model(6, points=points_in_a_plane(6), grid_3d=(1, 6)),
-    "as_d3dgs": lambda: random_model(8, **AS_D3DGS),
     "one_anchor": lambda: random_model(7, anchors=1, d=1, k=1),
 }
 
 
 def coded(bits=10, **changes):
     """A model of the coded design."""
-    return random_model(**{"seed": 1, **changes}, coded=True, position_bits=bits)
+    return random_model(**{"seed": 1, **changes}, is_coded=True, position_bits=bits)
 
 
 def in_one_place():
@@ -112,9 +110,9 @@ CODED = {
     "in a plane": lambda: coded(points=points_in_a_plane(6)),
     "on a line": lambda: coded(16, points=on_a_line()),
     "static": lambda: coded(effects=("view_color", "occlusion", "background")),
-    "as d3dgs": lambda: coded(deformation=(7, 6, 5, 4), time_net=(8, 3), skip=True),
     "without effects": lambda: coded(effects=()),
 }
+CODED = CODED if HAS_OURS else {}
 
 
 def refusal(read, *arguments):
@@ -169,7 +167,7 @@ def read_gaussians(path):
 # What another process runs to decode the file in its first argument.
 DECODE_AND_PRINT = """
 import sys
-from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.designs import decode, encode
 from tests.codec.models import digest
 data = open(sys.argv[1], "rb").read()
 model = decode(data)

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.container import read_container, write_container
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS, decode, encode, quantised_of
-from p4dgs_ref.codec.quantise import quantise
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS
+from p4dgs_ref.designs import decode, encode, fit, quantised_of, read_container
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
 from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
     MAKE,
@@ -22,6 +20,7 @@ from tests.codec.models import (
     digest,
     exact_context,
 )
+from tests.golden.both import quantise, write_container
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -55,7 +54,7 @@ def test_the_decoded_model_is_the_quantised_one_bit_for_bit(made):
     for name, a in arrays_of(quantised.model).items():
         assert found[name].strides == a.strides or not a.size, name
     assert repr(decoded.design) == repr(quantised.model.design)
-    again = quantised_of(read_container(data))
+    again = quantised_of(data)
     for name in ("positions", "symbols", "kept"):
         assert np.array_equal(getattr(again, name), getattr(quantised, name)), name
     assert all(map(np.array_equal, again.context, quantised.context))
@@ -73,8 +72,11 @@ def test_encoding_again_gives_the_same_bytes(made):
     few(
         [
             ("static", SMOKE),
-            ("orientation", SMOKE._replace(hidden=(24, 40), d=8)),
-            ("glossy", TINY._replace(stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60)),
+            ("orientation", dataclasses.replace(SMOKE, hidden=(24, 40), d=8)),
+            (
+                "glossy",
+                dataclasses.replace(TINY, stage_ends=(4, 6, 12, 20), mask_from=12, anchors=60),
+            ),
         ],
         1,
     ),
@@ -224,7 +226,7 @@ def test_everything_masked_leaves_one_anchor_and_the_background(model):
 
 
 def test_integers_in_the_design_and_float64_boxes_get_the_types_of_the_file(model):
-    design = model.design._replace(Q_0=(1, 1, 1, 1), tau_alpha=0)
+    design = dataclasses.replace(model.design, Q_0=(1, 1, 1, 1), tau_alpha=0)
     box = tuple(c.astype(float) + shift for c, shift in zip(model.box, (-1e-9, 1e-9)))
     model = dataclasses.replace(model, design=design, box=box)
     decoded, rounded = decode(encode(model)), quantise(model).model

@@ -14,7 +14,7 @@ from p4dgs_ref import model as pipelines
 from p4dgs_ref.arithmetic import CHOSEN
 from p4dgs_ref.codec import context as integer_context
 from p4dgs_ref.codec.context import run_network, whole_layers
-from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.equations import hash_grid, likelihood, mlp, prior, step
 from p4dgs_ref.report.inspect import ledger
 from tests import processes

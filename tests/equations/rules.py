@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tests.equations import shape_comments
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
+from tests.golden import shape_comments
 
 
 def run(eq, inputs):

@@ -1,4 +1,4 @@
-"""The answers to short exercises: p4dgs_ref/lab/school/answers.json, made from the solutions.
+"""The answers to short exercises: p4dgs_ref/answers.json, made from the solutions.
 
 python -m tests.golden.answers
 
@@ -16,8 +16,8 @@ from unittest import mock
 
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.syllabus import TUTORIALS
+from p4dgs_ref import lessons
+from p4dgs_ref.lessons import TUTORIALS
 from tutorials.tools.syllabus import FOLDER, write_text
 
 FROM_DATA = {  # compared with arrays of the golden data or of a file, or with counts in the text
@@ -37,7 +37,7 @@ def asked(source):
     return {
         call.args[0].value
         for call in calls
-        if ast.unparse(call.func) == "lessons.number" and len(call.args) == 2
+        if ast.unparse(call.func) == "lessons.check_number" and len(call.args) == 2
     }
 
 
@@ -54,17 +54,17 @@ def answers():
 
 def computed(solution):
     """{exercise: what its solution compares the answer with}."""
-    found = {}
+    wanted = {}
 
-    def number(exercise, mine, want, digits=6):
-        found[exercise] = np.asarray(want).tolist()
+    def store(exercise, mine, want, digits=6):
+        wanted[exercise] = np.asarray(want).tolist()
 
     without_checks = mock.patch.multiple(
-        lessons, number=number, forward=mock.DEFAULT, backward=mock.DEFAULT
+        lessons, check_number=store, check_forward=mock.DEFAULT, check_backward=mock.DEFAULT
     )
     with without_checks, contextlib.redirect_stdout(io.StringIO()):
         runpy.run_path(str(solution))
-    return found
+    return wanted
 
 
 def text(made):

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.codec.container import write_container
-from p4dgs_ref.codec.file import attribute_columns, sections_of
+from p4dgs_ref.codec.file import attribute_columns
 from p4dgs_ref.codec.published import FOLDER, TYPES, expected
 from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
+from tests.golden.both import sections_of, version_of, write_container
 from tests.golden.conformance_bad import forgeries
 from tests.golden.conformance_good import GOOD
 
@@ -51,8 +51,8 @@ def files():
 def good_row(name, says, maker, contents):
     """The manifest's row of a good stream; adds its two files to `contents`."""
     quantised, sections = stream_of(maker)
-    version = 1 + quantised.model.design.coded
-    row = file_row(name, says, write_container(sections, version), contents)
+    data = write_container(sections, version_of(quantised.model))
+    row = file_row(name, says, data, contents)
     row["header"] = json.loads(sections["header"])
     row["sections"] = {name: len(body) for name, body in sections.items()}
     row["expected"] = f"{row['name']}.bin"

@@ -3,15 +3,14 @@
 The texts of GOOD are published in the manifest.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
+from p4dgs_ref.beyond.positions import codes_of, of_16_bits
 from p4dgs_ref.codec.context import coding_context
-from p4dgs_ref.codec.quantise import Quantised, coded
-from p4dgs_ref.codec.version_2 import codes_of
-from p4dgs_ref.model import Anchors, Design, Model, on_lattice, split, unsnap
+from p4dgs_ref.codec.quantise import Quantised, coded_columns
+from p4dgs_ref.model import Anchors, Design, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from tests.golden.both import design_of, model_of
 
 BASE = Design(
     d=2,
@@ -55,7 +54,7 @@ class Parts:
     """The parts of a stream before its context is computed; a maker below changes what it tests."""
 
     def __init__(self, seed, anchors=4, **changes):
-        self.draw, self.design = Draw(seed), BASE._replace(**changes)
+        self.draw, self.design = Draw(seed), design_of({**vars(BASE), **changes})
         self.positions = self.draw(0, 65535, anchors, 3)
         self.box = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
         self.mask = self.draw(0, 3, anchors, self.design.k) > 0
@@ -98,7 +97,7 @@ class Parts:
     def quantised(self, symbols=None):
         """The quantised model, with these symbols [A, n] or some within about a deviation."""
         ctx = coding_context(self.design, self.networks, self.grids, self.positions)
-        kept = coded(self.mask, self.design)
+        kept = coded_columns(self.mask, self.design)
         if symbols is None:
             reach = np.minimum(1 << np.maximum(ctx.sigma_units >> 4, 0), 2**20)
             away = self.draw(-(2**20), 2**20, *kept.shape) * (2 * reach + 1) >> 21
@@ -107,20 +106,18 @@ class Parts:
         f, s, l, O = split(symbols * np.repeat(ctx.q, self.design.widths, axis=1), self.design)
         anchors = Anchors(unsnap(self.positions, *self.box), f, s, l, O, self.mask)
         background = np.array([0.25, 0.5, 1.0])
-        model = Model(self.design, anchors, self.networks, self.grids, self.box, background)
-        if self.design.coded:
-            model = replace(
-                model, steps={name: steps_of(W) for name, (W, _) in self.networks.items()}
-            )
+        steps = {name: steps_of(W) for name, (W, _) in self.networks.items()}
+        arrays = anchors, self.networks, self.grids, self.box, background
+        model = model_of(self.design, *arrays, steps=steps)
         return Quantised(model, self.positions, symbols, kept, ctx)
 
 
 def coded_parts(seed, bits, lattice=None, box=None, anchors=9, **changes):
     """Parts of version 2, with random points or `lattice` [A, 3] on a lattice of `bits` bits."""
-    parts = Parts(seed, anchors, coded=True, position_bits=bits, **changes)
+    parts = Parts(seed, anchors, position_bits=bits, **changes)
     m = parts.draw(0, 2**bits - 1, anchors, 3) if lattice is None else np.array(lattice)
     parts.box = box or parts.box
-    points = on_lattice(m, bits)
+    points = of_16_bits(m, bits)
     parts.positions = points[codes_of(points, parts.box, bits).argsort(kind="stable")]
     return parts
 
@@ -330,12 +327,6 @@ def ties():
     return parts
 
 
-def time_net():
-    """psi_d as in D3DGS: psi_t reads the time, and a layer of psi_d reads its inputs once more."""
-    least = dict(d=1, k=1, hidden=(), context=(), grid=(("xy", 2),), F=1)
-    return Parts(26, anchors=1, deformation=(3, 4, 2), time_net=(4, 2), skip=True, **least)
-
-
 def full():
     """Every effect, section and axis; several layers and levels, dense and hashed."""
     return Parts(
@@ -428,7 +419,6 @@ GOOD = {
     ),
     "deviations": ("raw sigma at the edges of its rounding", deviations),
     "ties": ("weights half-way between two fixed-point integers: to even", ties),
-    "time_net": ("psi_d with a time net and a skip, the optional fields of the header", time_net),
     "full": ("every effect, every section", full),
     "coded_ten_bits": (
         "version 2: nine positions of ten bits, sorted",

@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.codec.container import MAGIC, SECTIONS, layout, read_container, write_container
-from p4dgs_ref.codec.header import BASES
+from p4dgs_ref.beyond.file import BASES
+from p4dgs_ref.codec.container import MAGIC, SECTIONS
+from p4dgs_ref.designs import layout, read_container
+from tests.golden.both import write_container
 
 # Values that a field of the header is set to, whatever its type.
 VALUES = [

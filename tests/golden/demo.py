@@ -35,8 +35,8 @@ def kept():
 
 def main():
     """Make both files and keep what they are."""
-    found = {preset: sha256(file(preset)) for preset in ("tiny_coded", "tiny")}
-    DEMO.write_text(json.dumps({"arithmetic": with_what(), **found}, indent=1) + "\n")
+    hashes = {preset: sha256(file(preset)) for preset in ("tiny_coded", "tiny")}
+    DEMO.write_text(json.dumps({"arithmetic": with_what(), **hashes}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ rans          intervals -> the bytes of a message
 encoder       a model -> the bytes of every section, and of the file
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -27,13 +27,15 @@ from tests.golden.subjects import Subject, no_pullback
 PRECISION = 24
 ARRAYS = Anchors._fields
 STILL = ("view_color", "occlusion", "background")
-# The published vectors are those of the paper's design, without the fields of the coded one.
-DESIGN = [name for name in Design._fields if name not in ("coded", "position_bits")]
+# The vectors also say that psi_d has no time net and no skip, as D3DGS has them.
+NOT_OURS = {"time_net": (), "skip": False}
+DESIGN = [*(field.name for field in fields(Design)), *NOT_OURS]
 
 
 def model_of(x_a, f_a, s_a, l_a, O_a, mask, lo, hi, grids, background, networks, **design):
     """The Model that flat inputs describe."""
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
+    design = {name: value for name, value in design.items() if name not in NOT_OURS}
     return Model(Design(**design), anchors, networks_of(networks), grids, (lo, hi), background)
 
 
@@ -47,14 +49,15 @@ def flat_model(model):
         grids=model.grids,
         background=model.background,
         **flat_networks(model.networks),
-        **{name: getattr(model.design, name) for name in DESIGN},
+        **vars(model.design),
+        **NOT_OURS,
     )
 
 
 def apart(inputs):
     """The flat inputs of `model_of`, with the arrays of the networks in one dictionary."""
-    own = {name: a for name, a in inputs.items() if not name.startswith("psi_")}
-    return own, {name: a for name, a in inputs.items() if name.startswith("psi_")}
+    others = {name: a for name, a in inputs.items() if not name.startswith("psi_")}
+    return others, {name: a for name, a in inputs.items() if name.startswith("psi_")}
 
 
 def quantiser_vjp(**inputs):
@@ -62,11 +65,11 @@ def quantiser_vjp(**inputs):
 
     Anchors without a kept child are left out: B of A anchors remain.
     """
-    own, networks = apart(inputs)
-    quantised = quantise(model_of(**own, networks=networks))
-    found = {name: a for name, (_, a) in published.expected(quantised).items()}
+    others, networks = apart(inputs)
+    quantised = quantise(model_of(**others, networks=networks))
+    arrays = {name: a for name, (_, a) in published.expected(quantised).items()}
     names = ("positions", "signs", "h", "q_units", "mu_units", "sigma_units", "symbols")
-    outputs = {name: np.asarray(found[name]).astype(np.int32) for name in names}
+    outputs = {name: np.asarray(arrays[name]).astype(np.int32) for name in names}
     return {**outputs, "kept": quantised.kept}, no_pullback
 
 
@@ -100,11 +103,11 @@ def rans_vjp(start, freq, lanes):
 
 def encoder_vjp(header, **inputs):
     """A model and the text of its header -> the bytes of all other sections and of the file."""
-    own, networks = apart(inputs)
-    sections = sections_of(quantise(model_of(**own, networks=networks)))
+    others, networks = apart(inputs)
+    sections = sections_of(quantise(model_of(**others, networks=networks)))
     sections["header"] = header.encode()
-    found = {name: a for name, a in sections.items() if name != "header"}
-    outputs = {**found, "file": write_container(sections)}
+    bodies = {name: a for name, a in sections.items() if name != "header"}
+    outputs = {**bodies, "file": write_container(sections)}
     return {name: np.frombuffer(a, np.uint8) for name, a in outputs.items()}, no_pullback
 
 

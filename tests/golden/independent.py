@@ -59,21 +59,21 @@ def _closed(case, cotangents):
 
 def _decimals(subject, case, cotangents):
     """Return values, and gradients where the formula is smooth and they do not take long."""
-    found = flatten(_floats(value(subject.key, case.inputs)), "out.")
+    tensors = flatten(_floats(value(subject.key, case.inputs)), "out.")
     asked = {name: case.inputs[name] for name in subject.gradients}
     count = sum(a.size for a in flatten(asked).values())
     most = MANY if case.name == "ordinary" else FEW
     if case.smooth and 0 < count <= most and subject.key not in SLOW:
-        found.update(flatten(_floats(gradient(subject.key, case.inputs, cotangents)), "in_bar."))
-    return found
+        tensors.update(flatten(_floats(gradient(subject.key, case.inputs, cotangents)), "in_bar."))
+    return tensors
 
 
 def _floats(decimals):
-    found = {}
+    floats = {}
     for name, a in decimals.items():
         if a is not None:
-            found[name] = [to_float(b) for b in a] if isinstance(a, list) else to_float(a)
-    return found
+            floats[name] = [to_float(b) for b in a] if isinstance(a, list) else to_float(a)
+    return floats
 
 
 def _bin(z, w):
@@ -84,14 +84,14 @@ def _bin(z, w):
     column = np.ones((len(z), 1))
     inputs = dict(f_noisy=z[:, None], mu=0 * column, sigma=column, q=w[:, None])
     slopes = gradient("likelihood", inputs, {"bits_bar": column})
-    found = {
+    tensors = {
         "log_p": value("likelihood", inputs)["bits"],
         "slope_z": slopes["f_noisy"],
         "slope_w": slopes["q"],
     }
     with working():
         ln_2 = log(Decimal(2))
-        return {f"out.{name}": to_float(-a[:, 0] * ln_2) for name, a in found.items()}
+        return {f"out.{name}": to_float(-a[:, 0] * ln_2) for name, a in tensors.items()}
 
 
 C1, C2 = 1e-4, 9e-4  # of SSIM

@@ -24,8 +24,9 @@ import numpy as np
 from p4dgs_ref import model
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
-from p4dgs_ref.splatting import covariance, fast, projection, render
+from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import PAPER
+from tests.golden import stages
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of, described
 from tests.golden.pipeline import FRONT, golden_model
@@ -115,8 +116,8 @@ def composite(
     image, T_all = np.empty((height, width, 3), dtype), np.empty((height, width), dtype)
     last, tiles = np.zeros((height, width), np.int32), []
     if frozen is None:
-        found = lists(mean2d, cov2d, depth, visible, height, width)
-        places = [found.row[start:end] for start, end in found.ranges]
+        of_tiles = lists(mean2d, cov2d, depth, visible, height, width)
+        places = [of_tiles.row[start:end] for start, end in of_tiles.ranges]
     else:
         places = [tile.rows for tile in frozen]
     for number, rows in enumerate(places):
@@ -163,20 +164,20 @@ def along_the_pixels(tile, inputs, image_bar, transmittance_bar):
 
 def gradients(tiles, T, inputs, image_bar, transmittance_bar):
     """Return the gradients of mean2d, conic, alpha, color and background."""
-    found = {name: np.zeros_like(inputs[name]) for name in SPLATS}
+    bars = {name: np.zeros_like(inputs[name]) for name in SPLATS}
     for tile in tiles:
         rows, g = tile.rows, image_bar[tile.pixels].reshape(-1, 3)
         a, b, c = inputs["conic"][rows].T[:, :, None]
-        np.add.at(found["color"], rows, (tile.A * tile.before) @ g)
+        np.add.at(bars["color"], rows, (tile.A * tile.before) @ g)
         V = along_the_pixels(tile, inputs, image_bar, transmittance_bar)[0] * tile.falloff
-        np.add.at(found["alpha"], rows, V.sum(axis=1))
+        np.add.at(bars["alpha"], rows, V.sum(axis=1))
         V *= inputs["alpha"][rows, None]  # from here on the gradient of the exponent
         e_x, e_y = tile.e_x, tile.e_y
         along = (V * (a * e_x + b * e_y)).sum(axis=1), (V * (b * e_x + c * e_y)).sum(axis=1)
-        np.add.at(found["mean2d"], rows, np.stack(along, axis=1))
+        np.add.at(bars["mean2d"], rows, np.stack(along, axis=1))
         form = -(V * e_x**2) / 2, -(V * e_x * e_y), -(V * e_y**2) / 2
-        np.add.at(found["conic"], rows, np.stack([part.sum(axis=1) for part in form], axis=1))
-    return {**found, "background": (T[:, :, None] * image_bar).sum(axis=(0, 1))}
+        np.add.at(bars["conic"], rows, np.stack([part.sum(axis=1) for part in form], axis=1))
+    return {**bars, "background": (T[:, :, None] * image_bar).sum(axis=(0, 1))}
 
 
 # --- the subjects -------------------------------------------------------------------------------
@@ -198,13 +199,13 @@ def kernel_vjp(**inputs):
 def pixels_vjp(pixels, image_bar, **inputs):
     """Splats, gradient of the image -> what every splat is at some pixels, and its gradients."""
     (_, T, _), tiles = composite(**inputs)
-    found = np.zeros((4, len(inputs["alpha"]), *T.shape), T.dtype)
+    layers = np.zeros((4, len(inputs["alpha"]), *T.shape), T.dtype)
     for tile in tiles:
         values = tile.A, tile.before * (tile.A > 0)
         values += along_the_pixels(tile, inputs, image_bar, np.zeros_like(T))
-        area = found[(..., *tile.pixels)]
+        area = layers[(..., *tile.pixels)]
         area[:, tile.rows] = np.reshape(values, (4, -1, *area.shape[2:]))
-    return dict(zip(("A", "T", "A_bar", "T_bar"), found[(..., *pixels.T[::-1])])), no_pullback
+    return dict(zip(("A", "T", "A_bar", "T_bar"), layers[(..., *pixels.T[::-1])])), no_pullback
 
 
 def by_monomials(inputs, cotangents):
@@ -230,32 +231,23 @@ def kernel_surrogate(**base):
 
 
 def splats_of(x, s, r, camera):
-    """Return the splats of some Gaussians as inputs of `composite`, and what backward needs."""
-    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    splats, saved_projection = render.project(x, Sigma, camera, PAPER, R)
-    *floats, visible = splats
-    named = dict(zip(("mean2d", "cov2d", "conic", "depth"), (a.astype(x.dtype) for a in floats)))
-    splats = dict(named, visible=visible, height=camera.height, width=camera.width)
-    return splats, (saved_axes, saved_projection)
+    """Return the splats of some Gaussians as inputs of `composite`, and their pullback."""
+    splats, pullback = stages.projected(x, s, r, camera, PAPER)
+    return dict(splats, height=camera.height, width=camera.width), pullback
 
 
 def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
     """Gaussians at t -> image, by the rule of the published kernel."""
-    splats, (saved_axes, saved_projection) = splats_of(
-        x, s, r, camera_of(W, T, focal, center, size)
-    )
+    splats, splats_pullback = splats_of(x, s, r, camera_of(W, T, focal, center, size))
     looks = dict(alpha=alpha, color=color, background=background)
     outputs, kernel_pullback = kernel_vjp(**splats, **looks)
     of_lists = {name: splats[name] for name in LISTED}
 
     def pullback(image_bar, transmittance_bar):
         bars = kernel_pullback(image_bar, transmittance_bar)
-        places = projection.backward(
-            saved_projection, mean2d_bar=bars.pop("mean2d"), conic_bar=bars.pop("conic")
-        )
-        bars |= covariance.axes_backward(saved_axes, places["Sigma"], places["R"])
-        bars["x"] = places["x"]
-        return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
+        places = splats_pullback(bars.pop("mean2d"), bars.pop("conic"))
+        looks_bars = {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
+        return {**looks_bars, **places}
 
     return {"radius": lists(**of_lists).radius, **outputs}, pullback
 

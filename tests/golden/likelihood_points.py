@@ -21,15 +21,15 @@ COUNT = 30
 def rows(count):
     """[z, w, bits, slope in f_noisy, slope in q] of `count` points, for mu = 0 and sigma = 1."""
     z, w = (a.ravel() for a in np.meshgrid(*plane(), indexing="ij"))
-    chosen = np.random.default_rng(0).choice(len(z), count, replace=False)
+    indices = np.random.default_rng(0).choice(len(z), count, replace=False)
     one = np.ones((1, 1))
-    found = []
-    for i in chosen:
+    points = []
+    for i in indices:
         inputs = dict(f_noisy=z[i] * one, mu=0 * one, sigma=one, q=w[i] * one)
         slopes = gradient("likelihood", inputs, {"bits_bar": one})
         exact = (value("likelihood", inputs)["bits"], slopes["f_noisy"], slopes["q"])
-        found.append([float(z[i]), float(w[i]), *(float(a[0, 0]) for a in exact)])
-    return found
+        points.append([float(z[i]), float(w[i]), *(float(a[0, 0]) for a in exact)])
+    return points
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ def tolerances(error, tensors):
     if any(name.split(".")[1] in IMAGES for name in tensors):
         bounds["rms_eps_S"] = c / 4
     if measured:
-        said = f"{SAFETY} times the {error:.2g} eps S by which float32 misses here, "
-        said += f"at least {FLOOR}, to a power of two"
-        bounds["reason"] = said
+        reason = f"{SAFETY} times the {error:.2g} eps S by which float32 misses here, "
+        reason += f"at least {FLOOR}, to a power of two"
+        bounds["reason"] = reason
         return {"float64": bounds, "float32": dict(bounds)}
     return {
         "float64": {**bounds, "reason": f"{FLOOR} eps S: the order of sums is free"},

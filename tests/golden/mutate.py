@@ -10,6 +10,7 @@ import ast
 import importlib
 from contextlib import contextmanager
 from functools import cache
+from importlib.util import find_spec
 from os.path import commonprefix
 from pathlib import Path
 from typing import NamedTuple
@@ -112,8 +113,8 @@ class Mutation(NamedTuple):
 
 def files():
     """Return [(module, its equation)] of all files that are mutated."""
-    found = [(eq.module, key) for key, eq in ALL_EQUATIONS.items()]
-    return found + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
+    equations = [(eq.module, key) for key, eq in ALL_EQUATIONS.items()]
+    return equations + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
 
 
 def mutations():
@@ -123,7 +124,7 @@ def mutations():
 
 def mutations_of(module, equation):
     """Every mutation of one file."""
-    found = []
+    results = []
     for statement in parsed(module):
         owner, counts = owner_of(statement), {}
         if owner is None or owner in NOT_COMPUTED | REFUSALS | PORTIONS:
@@ -131,7 +132,7 @@ def mutations_of(module, equation):
         for operator, place, new, shown in sites(statement):
             counts[operator] = counts.get(operator, 0) + 1
             name = f"{module.rsplit('.', 1)[1]}:{owner}:{operator}:{counts[operator]}"
-            found.append(
+            results.append(
                 Mutation(
                     name,
                     module,
@@ -143,7 +144,7 @@ def mutations_of(module, equation):
                     new,
                 )
             )
-    return found
+    return results
 
 
 @cache
@@ -153,8 +154,8 @@ def parsed(module):
 
 
 def source(module):
-    """The text of a file of the package."""
-    return Path(ROOT.parent, *module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
+    """The text of a file of the package or of the tests."""
+    return Path(find_spec(module).origin).read_text(encoding="utf-8")
 
 
 def owner_of(statement):

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref.splatting.camera import look_at
+from tests.golden.flat import described
 from tests.golden.sixty_digits import gradient, to_float, value
 
 CAMERA = look_at((0.3, -4, 0.8), (0.02, 0, -0.03), 20.0, 17.0, 16, 12)
@@ -34,11 +35,7 @@ def truth(ratio):
     gaussians, image_bar = needle(ratio)
     inputs = dict(
         gaussians,
-        W=CAMERA.R,
-        T=CAMERA.T,
-        focal=np.array([CAMERA.f_x, CAMERA.f_y]),
-        center=np.array([CAMERA.c_x, CAMERA.c_y]),
-        size=np.array([CAMERA.width, CAMERA.height]),
+        **described(CAMERA),
         height=CAMERA.height,
         width=CAMERA.width,
         alpha_max=0.99,

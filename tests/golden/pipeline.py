@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref import model
-from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.designs import decode, encode, train
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Anchors
 from p4dgs_ref.oracle import published
@@ -24,7 +24,6 @@ from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, SETTINGS
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.fit import train
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import LEARNING_RATES
@@ -74,7 +73,7 @@ def frames_vjp(
     whatever they say.
     """
     camera = camera_of(W, T, focal, center, size)
-    design = EMPTY._replace(L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
+    design = replace(EMPTY, L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
     g, *_ = model.predict(design, networks_of(networks), anchors, camera.center, t)
     settings = SETTINGS[renderer]._replace(dtype="float64")
@@ -93,7 +92,8 @@ def golden_model():
 def train_golden_model():
     """Bytes of a small model that moves, shines and hides parts of itself."""
     scene = replace(load_scene("bouncing", background=(0.35, 0.6, 0.85)), effects=MODEL_EFFECTS)
-    preset = SMOKE._replace(
+    preset = replace(
+        SMOKE,
         name="golden",
         anchors=60,
         d=6,
@@ -186,7 +186,8 @@ def traced(
     )
     nets = {name: p.network(name) for name in networks_of(networks)}
     levels = p.listed("grid")
-    design = EMPTY._replace(
+    design = replace(
+        EMPTY,
         d=f_a.shape[1],
         k=O_a.shape[1],
         L_x=L_x,
@@ -196,13 +197,13 @@ def traced(
         effects=effects,
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
-    fixed = objective.Fixed(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
-    rates = dict(zip(map(own_name, arrays), learning_rates.tolist(), strict=True))
+    inputs = objective.StepInputs(mask, located, background, 4, lambda_rate, lambda_ssim, EXACT)
+    rates = dict(zip(map(parameter_name, arrays), learning_rates.tolist(), strict=True))
     adam = Adam(p)
     for v, noise in zip(views, u):
         camera = camera_of(W[v], T[v], focal[v], center[v], size)
         view = View("", truth[v], None, camera, times[v])
-        losses, _, back = objective.loss(p, design, nets, levels, fixed, view, noise)
+        losses, _, back = objective.loss(p, design, nets, levels, inputs, view, noise)
         gradients, _ = back()
         adam.step(p, gradients, rates.get)
         yield p, losses, gradients
@@ -216,7 +217,7 @@ def trace_vjp(arrays, **inputs):
     elements times cos 0, cos 1, cos 2, ...; and `final`, all parameters after the last step, the
     arrays row by row, one after the other.
     """
-    names = [own_name(name) for name in arrays]
+    names = [parameter_name(name) for name in arrays]
     rows = {name: [] for name in TRACED}
     for p, losses, gradients in traced(arrays=arrays, **inputs):
         for name in LOSSES:
@@ -237,8 +238,7 @@ def trace_steps_vjp(**inputs):
     return by_step(states), no_pullback
 
 
-# The parameters: anchors, networks, grid. There is no psi_t, and no step of coded networks.
-ARRAYS = tuple(name for name in LEARNING_RATES if name not in ("psi_t", "log_step"))
+ARRAYS = tuple(LEARNING_RATES)  # the parameters: anchors, networks, grid
 
 
 def joined(parameters, stem):
@@ -273,7 +273,7 @@ def gather(attributes, networks, grids):
     return Parameters(arrays, attributes["x_a"].dtype)
 
 
-def own_name(tensor):
+def parameter_name(tensor):
     """The name in Parameters of a flat input: psi_c_weights.0 -> psi_c.W0, grids.1 -> grid.1."""
     name = re.sub(r"_weights\.", ".W", re.sub(r"_biases\.", ".b", tensor))
     return name.replace("grids.", "grid.")
@@ -291,7 +291,8 @@ def trace_steps_cases():
 def trace_inputs(rng, A=9, k=5, d=7, V=6):
     """Anchors, networks, grids, noise, and views of another, smoother model, drawn by `rng`."""
     resolutions = (("xyz", 3), ("xy", 5), ("xz", 4), ("yz", 4))
-    design = EMPTY._replace(
+    design = replace(
+        EMPTY,
         d=d,
         k=k,
         hidden=(7,),
@@ -346,12 +347,12 @@ def views_of(teacher, design, times, background):
     f, s, l = teacher["f_a"], np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
     anchors = Anchors(teacher["x_a"], f, s, l, teacher["O_a"], np.ones((len(f), design.k), bool))
     networks = {name: teacher.network(name) for name in design.layers()}
-    seen = model.Model(design, anchors, networks, [], None, background)
+    shown = model.Model(design, anchors, networks, [], None, background)
     cameras = []
     for i, angle in enumerate(np.linspace(0, 5, len(times))):
         place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
         cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8))
-    truth = np.stack([seen.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
+    truth = np.stack([shown.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
     posed = [described(camera) for camera in cameras]
     stacked = {n: np.stack([c[n] for c in posed]) for n in ("W", "T", "focal", "center")}
     return dict(size=posed[0]["size"], times=times, truth=truth, **stacked)

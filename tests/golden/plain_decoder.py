@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
 TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text())
-BASES = json.loads((PACKAGE / "codec" / "bases.json").read_text())
+BASES = PACKAGE / "beyond" / "bases.json"  # of version 2
 SECTIONS = (
     "header",
     "positions",
@@ -112,14 +112,13 @@ def read_header(body, size, version):
     try:
         h = json.loads(body.decode("ascii"))
         if version == 2:
-            h = {**BASES[h["as"]], **h}
+            h = {**json.loads(BASES.read_text())[h["as"]], **h}
             need(h["position_bits"] in range(1, 17), "header", "bits")
         T = [min(R ** len(axes), h["table"][len(axes) == 2]) for axes, R in h["grid"]]
         entries = h["F"] * sum(T)
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
         most = min(2**25, 2**22 + 16 * size)
         need(0 < entries <= 2**24 and 0 < numbers <= most, "header", "sizes")
-        need(not h.get("skip") or len(h["deformation"]) >= 3, "header", "skip")
         need(len(h["Q_0"]) == 4 and {*h["effects"]} <= EFFECTS, "header", "steps or effects")
         widths = [h["d"], 3, 3, 3 * h["k"]]
         nets = [(len(T) * h["F"], *h["context"], n) for n in (2 * sum(widths), 4)]
@@ -163,18 +162,12 @@ def read_networks(sections, h, widths, version):
 
 
 def layers_of_deformation(h):
-    """(inputs, outputs) of the layers of psi_d, whose heads are the last, and of psi_t."""
+    """(inputs, outputs) of the layers of psi_d, whose heads are the last."""
     heads = [n for effect, n in HEADS.items() if effect in h["effects"]]
     if not heads:
         return []
-    time = [1 + 2 * h["L_t"], *h.get("time_net", [])]
-    inputs = 3 * (1 + 2 * h["L_x"]) + time[-1]
-    rows = [inputs, *h["deformation"]]
-    layers = [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
-    if h.get("skip"):
-        after = len(h["deformation"]) // 2 + 1
-        layers[after] = inputs + layers[after][0], layers[after][1]
-    return layers + [*zip(time, time[1:])]
+    rows = [3 * (1 + 2 * h["L_x"]) + 1 + 2 * h["L_t"], *h["deformation"]]
+    return [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
 
 
 def read_weights(body, layers, section):
@@ -444,8 +437,8 @@ def decode(data):
     features, q_units, mu_units, sigma_units = [], [], [], []
     for a in range(A):
         place = positions[3 * a : 3 * a + 3]
-        found = context(place, h, grids, widths, psi_p, psi_q)
-        for whole, part in zip((features, q_units, mu_units, sigma_units), found):
+        of_anchor = context(place, h, grids, widths, psi_p, psi_q)
+        for whole, part in zip((features, q_units, mu_units, sigma_units), of_anchor):
             whole += part
     q = [units * (h["Q_0"][i % 4] * 2.0**-15) for i, units in enumerate(q_units)]
 

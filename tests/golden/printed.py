@@ -12,7 +12,7 @@ range of the precision. `p4dgs_ref.oracle.compare` reads both.
 
 The scale is the largest of S, of the effect of roundings within the printed formula (the root mean
 square change of a number when the result of every operation is changed by +-delta of itself,
-divided by delta), and of OWN / (c eps) times the formula's own error in the precision.
+divided by delta), and of MARGIN / (c eps) times the formula's own error in the precision.
 """
 
 import zlib
@@ -28,7 +28,7 @@ from tests.golden.tape import Value
 
 PROBES = 24
 DELTA = 2.0**-34
-OWN = 4  # times its own error in one arithmetic a formula may be off in another
+MARGIN = 4  # times its own error in one arithmetic a formula may be off in another
 
 
 # --- the formulas -------------------------------------------------------------------------------
@@ -96,8 +96,8 @@ def similarity(image, truth):
     H, W, C = image.array.shape
     total = 0
     for c in range(C):
-        chosen = np.eye(C)[:, [c]]
-        x, y = ((a.reshape(H * W, C) @ chosen).reshape(H, W) for a in (image, truth))
+        channel = np.eye(C)[:, [c]]
+        x, y = ((a.reshape(H * W, C) @ channel).reshape(H, W) for a in (image, truth))
 
         def mean(a):
             return a.of(averages(H)) @ a @ averages(W)
@@ -154,8 +154,8 @@ def weight_bits(w, step, b):
     a = (w / step).absolute()
     around = a.array < 0.5
     low, high = (-1 * (a - 0.5).absolute() / b).expm1(), (-1 * (a + 0.5) / b).expm1()
-    beside = (0.5 - a) / b + (-0.5 * (b.of(-1) / b).expm1()).log()
-    log_p = (-0.5 * (low + high)).log().where(around) + beside.where(~around)
+    log_outside = (0.5 - a) / b + (-0.5 * (b.of(-1) / b).expm1()).log()
+    log_p = (-0.5 * (low + high)).log().where(around) + log_outside.where(~around)
     return {"bits": log_p / -np.log(2)}
 
 
@@ -199,8 +199,8 @@ def answer(case, rounded, dtype=np.float64):
     bars = {n.removesuffix("_bar"): bar for n, bar in case.cotangents().items()}
     differentiable = published.subjects()[case.subject]["differentiable"]
     asked = flatten_values({n: leaves[n] for n in differentiable})
-    found = tape.gradients([outputs[n] for n in bars], bars.values(), list(asked.values()))
-    return {**flat, **{f"in_bar.{name}": a for name, a in zip(asked, found)}}
+    gradients = tape.gradients([outputs[n] for n in bars], bars.values(), list(asked.values()))
+    return {**flat, **{f"in_bar.{name}": a for name, a in zip(asked, gradients)}}
 
 
 def flatten_values(values):
@@ -246,7 +246,7 @@ def spread(case, tiny=0.0):
     return {name: np.where(np.isfinite(a), a, 0) for name, a in roots.items()}
 
 
-def own_answers(case, dtype):
+def plain_answers(case, dtype):
     """Return what the formula gives in a precision: with numbers below `tiny`, without, tainted."""
     return [answer(case, partial(f, dtype=dtype), dtype) for f in (np.asarray, flushed, tainted)]
 
@@ -264,12 +264,12 @@ def worse(case, relative):
     names = set()
     for dtype in precisions(case):
         c = case.tolerance(np.dtype(dtype).name)["eps_S"]
-        own = own_answers(case, dtype)
+        plain = plain_answers(case, dtype)
         for name, inner in relative.items():
             right, S = case.tensors[name], case.tensors["scale." + name]
-            errors = [deviations(a[name].reshape(right.shape), right, S, dtype)[1] for a in own]
+            errors = [deviations(a[name].reshape(right.shape), right, S, dtype)[1] for a in plain]
             rounded = np.where(inner == 0, 0, inner.reshape(right.shape) / S)
-            error = OWN * max(error.max(initial=0) for error in errors)
+            error = MARGIN * max(error.max(initial=0) for error in errors)
             if max(error, rounded.max(initial=0)) > c:
                 names.add(name)
     return sorted(names)
@@ -278,23 +278,23 @@ def worse(case, relative):
 def scales(case, names, relative, dtype):
     """Return {tensor: (scale, where the printed formula leaves the range)} in a precision."""
     eps, c = np.finfo(dtype).eps, case.tolerance(np.dtype(dtype).name)["eps_S"]
-    own, found = own_answers(case, dtype), {}
+    plain, results = plain_answers(case, dtype), {}
     # Numbers below the smallest normal one of float64 cannot be disturbed in float64.
     absolute = spread(case, np.finfo(dtype).tiny) if dtype is np.float32 else relative
     for name in names:
         right = case.tensors[name]
-        answers = [answered[name].reshape(right.shape).astype(float) for answered in own]
+        answers = [answered[name].reshape(right.shape).astype(float) for answered in plain]
         S = np.maximum(case.tensors["scale." + name], relative[name].reshape(right.shape))
         # Digits may cancel down to 0; this is not the range, and is part of S.
         gone = [~np.isfinite(a) | (a == 0) & (np.abs(right) > c * eps * S) for a in answers]
         miss = [np.where(lost, 0, np.abs(a - right)) for a, lost in zip(answers, gone)]
         small = absolute[name].reshape(right.shape)
         small = np.where(eps * small < np.abs(right), small, 0)  # otherwise nothing is left
-        size = np.maximum.reduce([S, small, *(OWN * m / (c * eps) for m in miss)])
+        size = np.maximum.reduce([S, small, *(MARGIN * m / (c * eps) for m in miss)])
         if name.split(".")[1] in IMAGES:
             size = size.max()
-        found[name] = size, np.logical_or.reduce(gone)
-    return found
+        results[name] = size, np.logical_or.reduce(gone)
+    return results
 
 
 def culled(case):

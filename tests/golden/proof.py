@@ -10,24 +10,23 @@ import json
 
 import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
-from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.designs import choose, trainer_of
 
 CHANGES = dict(stage_ends=(10, 20, 40, 60), grow_from=10, grow_every=15, mask_from=20, anchors=20)
 
 
 def proof():
     """The arithmetic, and the SHA-256 of all parameters, the file and a picture of each design."""
-    scene, found = p4.load_scene("bouncing", downscale=4), {}
+    scene, outputs = p4.load_scene("bouncing", downscale=4), {}
     view = scene.test[0]
     for preset in ("tiny", "tiny_coded"):
-        trainer = Trainer(scene, choose(preset, CHANGES), seed=0)
+        trainer = trainer_of(scene, choose(preset, CHANGES), seed=0)
         data = p4.encode(trainer.run())
         picture = p4.decode(data).render(view.camera, view.time)
-        found[f"{preset}: parameters"] = trainer.parameters.vector.tobytes()
-        found[f"{preset}: file"] = data
-        found[f"{preset}: picture"] = picture.tobytes()
-    hashes = {what: hashlib.sha256(data).hexdigest() for what, data in found.items()}
+        outputs[f"{preset}: parameters"] = trainer.parameters.vector.tobytes()
+        outputs[f"{preset}: file"] = data
+        outputs[f"{preset}: picture"] = picture.tobytes()
+    hashes = {what: hashlib.sha256(data).hexdigest() for what, data in outputs.items()}
     return {"arithmetic": arithmetic(), **hashes}
 
 

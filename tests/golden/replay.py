@@ -6,6 +6,7 @@ change of the training shows here. A network is one vector, as in a file: layer 
 row, then b. The levels of the grid follow each other in one vector too.
 """
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import Preset
+from p4dgs_ref.training.presets import Preset, rows_of
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of
@@ -90,16 +91,12 @@ PRESET = Preset(
     min_opacity=0.03,
     mask_from=8,
 )
-# Fields that only the name of a preset or the start of a training concerns, or that are off.
-UNUSED = (
-    *("name", "anchors", "extent", "feature_std", "opacity_bias", "upright"),
-    *("deformation_gain", "body"),
-    *("coded", "position_bits", "network_ramp", "lr_step"),
-)
+# Fields that only the start of a training concerns.
+UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deformation_gain")
 # What the vectors switch off and no preset can switch on, at its place among the settings.
 OFF_AFTER = {"deformation": {"time_net": (), "skip": False}, "lambda_ssim": {"lambda_volume": 0.0}}
 SETTINGS = {}
-for field in PRESET._fields:
+for field in rows_of(PRESET):
     if field not in UNUSED:
         SETTINGS |= {field: getattr(PRESET, field), **OFF_AFTER.get(field, {})}
 
@@ -126,7 +123,7 @@ class Replayed(Trainer):
 
 def parted(arrays, design):
     """Undo `joined`: the Parameters of {array: values}."""
-    found = {}
+    parts_by_name = {}
     for stem, values in arrays.items():
         if stem == "grid":
             shapes = {f"grid.{i}": shape for i, shape in enumerate(design.levels())}
@@ -135,12 +132,12 @@ def parted(arrays, design):
             for i, (rows, columns) in enumerate(design.layers()[stem]):
                 shapes |= {f"{stem}.W{i}": (rows, columns), f"{stem}.b{i}": (columns,)}
         else:
-            found[stem] = values
+            parts_by_name[stem] = values
             continue
         ends = np.cumsum([np.prod(shape) for shape in shapes.values()])
         parts = np.split(values, ends[:-1])
-        found |= {name: a.reshape(shape) for (name, shape), a in zip(shapes.items(), parts)}
-    return Parameters(found, arrays["x_a"].dtype)
+        parts_by_name |= {name: a.reshape(shape) for (name, shape), a in zip(shapes.items(), parts)}
+    return Parameters(parts_by_name, arrays["x_a"].dtype)
 
 
 def views_of(W, T, focal, center, size, times, truth):
@@ -152,7 +149,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(trainer, state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = PRESET._replace(**{n: v for n, v in settings.items() if n in PRESET._fields})
+    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in rows_of(PRESET)})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = trainer(scene, preset, settings=EXACT)
     p, m, v = (
@@ -238,9 +235,9 @@ def scene_inputs(seed=481):
     teacher = draw(rng, design, 6)
     teacher["psi_c.W2"][...] *= 4  # strong colours
     background = single([0.9, 0.75, 0.3])
-    seen = views_of_model(teacher, design, single(np.linspace(0.1, 0.9, V)), background)
-    seen["background"] = background
-    return {name: seen[name] if name == "size" else single(seen[name]) for name in GIVEN}
+    shown = views_of_model(teacher, design, single(np.linspace(0.1, 0.9, V)), background)
+    shown["background"] = background
+    return {name: shown[name] if name == "size" else single(shown[name]) for name in GIVEN}
 
 
 def noise(rng, shape):
@@ -311,11 +308,11 @@ def steps_from(state, first, last, rng):
 def all_inputs():
     """Return {name of a case: its inputs}."""
     start = starting_state()
-    found = {"growing": steps_from(start, 0, 4, np.random.default_rng(486))}
-    state = rounded(replay(**found["growing"])[0])
-    found["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
-    found["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
-    return found
+    inputs = {"growing": steps_from(start, 0, 4, np.random.default_rng(486))}
+    state = rounded(replay(**inputs["growing"])[0])
+    inputs["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
+    inputs["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
+    return inputs
 
 
 def event_cases():
@@ -329,15 +326,15 @@ def whole_cases():
 
 def shapes():
     """Return the axes of all inputs and outputs; A anchors become B."""
-    found = {}
+    axes_of = {}
     for tag in ROLES:
         for name, axes in STATE_SHAPES.items():
             ends = f"{axes} -> {axes.replace('A', 'B')}"
-            found[tag + name] = ends if name in OF_ANCHORS else axes
-    found |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
+            axes_of[tag + name] = ends if name in OF_ANCHORS else axes
+    axes_of |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
     cameras = {name: f"V {axes}" for name, axes in CAMERA_SHAPES.items() if name != "size"}
     return {
-        **found,
+        **axes_of,
         **cameras,
         "size": "2",
         "times": "V",

@@ -138,8 +138,8 @@ def pixel_vjp(x, W, T, focal, center, size):
     outputs, pullback = EQUATIONS["projection"].vjp(
         x=x, Sigma=no_extent, W=W, T=T, focal=focal, center=center, size=size
     )
-    seen = {name: outputs[name] for name in ("mean2d", "depth", "visible")}
-    return seen, lambda **bars: {"x": pullback(**bars)["x"]}
+    shown = {name: outputs[name] for name in ("mean2d", "depth", "visible")}
+    return shown, lambda **bars: {"x": pullback(**bars)["x"]}
 
 
 def pixel_cases():
@@ -162,7 +162,7 @@ def pixel_cases():
     )
     # The axis meets the image of 6 x 4 pixels at (2.5, 1.5), between four of them. The outermost
     # centres are (0, 0) and (5, 3).
-    seen = np.array([[0, 0, 1.0], [-2.5 / 8, -1.5 / 4, 1], [5 / 8, 0.75, 2]])
+    on_pixels = np.array([[0, 0, 1.0], [-2.5 / 8, -1.5 / 4, 1], [5 / 8, 0.75, 2]])
     # u = 8 x / z, v = 4 y / z: in the last row du/dx = 32, du/dz = -16, dv/dy = 16, dv/dz = -4.
     near = np.array(
         [[0.125, 0.0625, 0.1875], [0.125, 0.0625, 0], [0.125, 0.0625, -1], [0.125, 0.0625, 0.25]]
@@ -175,7 +175,7 @@ def pixel_cases():
         Case("ordinary", dict(x=rng.normal(size=(5, 3)), **view)),
         Case(
             "pixel_centres",
-            dict(x=seen, **plain),
+            dict(x=on_pixels, **plain),
             ("zero",),
             expected={
                 "mean2d": np.array([[2.5, 1.5], [0, 0], [5, 3]]),

@@ -128,13 +128,13 @@ def step_vjp(u, Q_0):
 
 def step_cases():
     Q_0 = np.array([1.0, 0.001, 0.2])
-    beside = np.array([[-3.80, -3.81, -3.82], [-3.83, -3.805, -3.815]])
+    near_floor = np.array([[-3.80, -3.81, -3.82], [-3.83, -3.805, -3.815]])
     floored = np.array(
         [[-5.0, -10, -19], [-44, -100, -1e4]]
     )  # 1 + tanh is exactly 0 from -19.07 on
     return [
         Case("ordinary", dict(u=np.array([[0.0, 0.3, -0.4], [1.1, -1.2, 2.0]]), Q_0=Q_0)),
-        Case("beside_the_floor", dict(u=beside, Q_0=Q_0), ("clamped",)),
+        Case("beside_the_floor", dict(u=near_floor, Q_0=Q_0), ("clamped",)),
         Case(
             "on_the_floor",
             dict(u=floored, Q_0=Q_0),
@@ -222,9 +222,9 @@ def bin_vjp(z, w):
         f_noisy=z[:, None], mu=0 * one, sigma=one, q=w[:, None]
     )
     slopes = pullback(bits_bar=one)
-    found = {"log_p": outputs["bits"], "slope_z": slopes["f_noisy"], "slope_w": slopes["q"]}
+    tensors = {"log_p": outputs["bits"], "slope_z": slopes["f_noisy"], "slope_w": slopes["q"]}
     nats = z.dtype.type(-math.log(2))
-    return {name: nats * a[:, 0] for name, a in found.items()}, no_pullback
+    return {name: nats * a[:, 0] for name, a in tensors.items()}, no_pullback
 
 
 def bin_cases():

@@ -1,5 +1,7 @@
 """Vectors of level L2: several equations at once. Here Fig. 1; `stages_coding` has Fig. 2."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from p4dgs_ref import model
@@ -32,7 +34,7 @@ def spatial_vjp(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networ
 
     `effects` lists view_geometry, view_color or neither; without them networks do not see the view.
     """
-    design = EMPTY._replace(effects=effects, tau_alpha=tau_alpha)
+    design = replace(EMPTY, effects=effects, tau_alpha=tau_alpha)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
     gaussians, _, back = model.predict(design, networks_of(networks), anchors, x_c)
 
@@ -56,7 +58,7 @@ def spatial_surrogate(**base):
 
 def anchor_inputs(rng, A, d, k, hidden, effects):
     """Anchors about the origin, a camera centre, and anchor networks as the effects need them."""
-    design = EMPTY._replace(d=d, k=k, hidden=hidden, effects=effects)
+    design = replace(EMPTY, d=d, k=k, hidden=hidden, effects=effects)
     networks = {
         name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
         for name, layers in design.layers().items()
@@ -112,8 +114,8 @@ def temporal_vjp(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
         network = deformation.backward(
             saved_deltas, bars["delta_x"], bars["delta_s"], bars["delta_r"], needs_x=False
         )
-        own = {name: bars[name] for name in ("x", "s", "r")}
-        return {**own, **flat_gradients({"psi_d": network})}
+        direct = {name: bars[name] for name in ("x", "s", "r")}
+        return {**direct, **flat_gradients({"psi_d": network})}
 
     return dict(zip(("x_t", "s_t", "r_t"), at_t)), pullback
 
@@ -156,28 +158,31 @@ def gaussians(rng, N):
 
 
 # --- Fig. 1: Gaussians at t -> image ------------------------------------------------------------
-def projection_vjp(x, s, r, W, T, focal, center, size):
-    """From Gaussians to splats: covariance, then projection. Rows that are culled are zeros.
+def projected(x, s, r, camera, settings):
+    """Return the splats of some Gaussians, {name: array}, and their pullback.
 
     r is taken as it is: its gradient is the plain derivative of the printed matrix.
     """
     (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    camera = camera_of(W, T, focal, center, size)
-    splats, saved_projection = render.project(x, Sigma, camera, EXACT, R)
-    named = dict(zip(("mean2d", "cov2d", "conic", "depth"), splats))
-    floats = {n: named[n].astype(x.dtype, copy=False) for n in ("mean2d", "conic", "depth")}
+    (*floats, visible), saved = render.project(x, Sigma, camera, settings, R)
+    cast = (a.astype(x.dtype, copy=False) for a in floats)
 
     def pullback(mean2d_bar=None, conic_bar=None, depth_bar=None):
         places = projection.backward(
-            saved_projection, mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar
+            saved, mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar
         )
-        bars = {
-            "x": places["x"],
-            **covariance.axes_backward(saved_axes, places["Sigma"], places["R"]),
-        }
+        axes_bars = covariance.axes_backward(saved_axes, places["Sigma"], places["R"])
+        bars = {"x": places["x"], **axes_bars}
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
-    return {**floats, "visible": splats[-1]}, pullback
+    return {**dict(zip(("mean2d", "cov2d", "conic", "depth"), cast)), "visible": visible}, pullback
+
+
+def projection_vjp(x, s, r, W, T, focal, center, size):
+    """From Gaussians to splats: covariance, then projection. Rows that are culled are zeros."""
+    splats, pullback = projected(x, s, r, camera_of(W, T, focal, center, size), EXACT)
+    del splats["cov2d"]
+    return splats, pullback
 
 
 # Neither square nor centred, with pixels that are not square.

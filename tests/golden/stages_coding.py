@@ -1,5 +1,7 @@
 """Vectors of level L2: Fig. 2, from positions to coding context, from noisy attributes to bits."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from p4dgs_ref import model
@@ -24,7 +26,7 @@ def context_vjp(x_a, lo, hi, grids, resolutions, Q_0, d, k, **networks):
         x_a=x_a, lo=lo, hi=hi, grids=grids, resolutions=resolutions
     )
     located = locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids])
-    design = EMPTY._replace(d=d, k=k, Q_0=tuple(Q_0))
+    design = replace(EMPTY, d=d, k=k, Q_0=tuple(Q_0))
     context, back = model.context(design, networks_of(networks), grids, located)
 
     def pullback(h_bar, q_bar, mu_bar, sigma_bar):
@@ -88,7 +90,7 @@ def rate_vjp(noisy, mu, sigma, q, mask, grids, d, k):
     The columns of noisy, mu and sigma are f, s, l, O; all columns of a group have one q (Q6).
     Masked offsets receive no gradient (Q15); gradients of the grids are straight-through.
     """
-    design = EMPTY._replace(d=d, k=k)
+    design = replace(EMPTY, d=d, k=k)
     (bits, L_rate), back = objective.rate(noisy, Context(q, mu, sigma), grids, mask, design)
 
     def pullback(bits_bar, L_rate_bar):

@@ -111,11 +111,9 @@ class Value:
         above = self.array > bound
         return self.made(np.where(above, self.array, bound), (self, lambda bar: bar * above))
 
-    def where(self, chosen):
+    def where(self, mask):
         """Return 0, with the slope 0, where `chosen` is false."""
-        return self.made(
-            np.where(chosen, self.array, 0), (self, lambda bar: np.where(chosen, bar, 0))
-        )
+        return self.made(np.where(mask, self.array, 0), (self, lambda bar: np.where(mask, bar, 0)))
 
     def sum(self, axis=None):
         """Return the sum over an axis, which is kept, or over everything."""

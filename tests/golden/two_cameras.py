@@ -11,10 +11,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.output import filled
 from p4dgs_ref.scenes.simulator import camera_at
 from p4dgs_ref.scenes.simulator.bodies import poses
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import hit, rays, trace
 
 SOURCE = Path(__file__).with_name("two_cameras.json")
@@ -26,7 +26,7 @@ CENTER, SCALE = np.array([0.5, -1.5, 2.0]), 0.25
 
 def draw(folder):
     """Draw the scene into a folder."""
-    description = describe(SOURCE)
+    description = read_description(SOURCE)
     eyes, moments = cameras(description), description.cameras.train
     every = moments // description.cameras.test
     names = {
@@ -34,23 +34,23 @@ def draw(folder):
         "val_ids": [f"{i:06d}_right" for i in range(every // 2, moments, every)],
     }
     ids, metadata = names["train_ids"] + names["val_ids"], {}
-    with filled(folder) as beside:
+    with filled(folder) as staging:
         for part in ("camera", "rgb/1x"):
-            (beside / part).mkdir(parents=True)
+            (staging / part).mkdir(parents=True)
         for name in ids:
             step, side = int(name[:6]), name[7:]
             pixels = over_white(trace(description, eyes[side], step / (moments - 1)))
             picture = np.rint(pixels * 255).astype(np.uint8)
-            iio.imwrite(beside / f"rgb/1x/{name}.png", picture, optimize=True)
-            write(beside / f"camera/{name}.json", lens_of(eyes[side]))
+            iio.imwrite(staging / f"rgb/1x/{name}.png", picture, optimize=True)
+            write(staging / f"camera/{name}.json", lens_of(eyes[side]))
             camera = int(side == "right")
             metadata[name] = {"time_id": step, "warp_id": step, "camera_id": camera}
-        write(beside / "dataset.json", {"count": len(ids), "ids": ids, **names})
-        write(beside / "metadata.json", metadata)
+        write(staging / "dataset.json", {"count": len(ids), "ids": ids, **names})
+        write(staging / "metadata.json", metadata)
         scene = {"scale": SCALE, "center": CENTER.tolist(), "near": 0.2, "far": 6.0}
-        write(beside / "scene.json", {**scene, "effects": description.effects})
+        write(staging / "scene.json", {**scene, "effects": description.effects})
         points = surface(description, eyes["left"])
-        np.save(beside / "points.npy", (points / SCALE + CENTER).astype(np.float32))
+        np.save(staging / "points.npy", (points / SCALE + CENTER).astype(np.float32))
 
 
 def cameras(description):
@@ -91,6 +91,6 @@ def surface(description, camera):
     where = poses(description.bodies, description.effects, 0.0, viewer)
     hits = [hit(body, where[body.name], viewer, directions) for body in description.bodies]
     depth = np.min(hits, axis=0)
-    seen = np.flatnonzero(np.isfinite(depth))
-    chosen = np.random.default_rng(0).choice(seen, POINTS, replace=False)
-    return viewer + depth[chosen, None] * directions[chosen]
+    met = np.flatnonzero(np.isfinite(depth))
+    drawn = np.random.default_rng(0).choice(met, POINTS, replace=False)
+    return viewer + depth[drawn, None] * directions[drawn]

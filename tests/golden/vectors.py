@@ -19,16 +19,18 @@ import numpy as np
 import scipy
 
 from p4dgs_ref import __version__
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.oracle.streams import write_streams
-from p4dgs_ref.scenes.output import filled
+from p4dgs_ref.output import filled
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
-from tests.golden.subjects import subjects
+from tests.golden.subjects import lacking, subjects
 
-LATEST = published.VERSIONS[-1]
+# What the manifest calls its drafts: the first one, and the one in which new cases are listed.
+FIRST, LATEST = "1.0", "1.2"
 # Everything else in the folder of the vectors is made here.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
@@ -87,11 +89,11 @@ def steady(subject, case):
 
 def narrowed(tensors):
     """Return tensors with floats as float32, which must hold them."""
-    found = cast(tensors, np.float32)
+    single = cast(tensors, np.float32)
     for name, a in tensors.items():
-        if not np.array_equal(a, found[name]):
+        if not np.array_equal(a, single[name]):
             raise ValueError(f"{name}: expected numbers that float32 holds")
-    return found
+    return single
 
 
 @cache
@@ -104,7 +106,7 @@ def joined():
 def joining(id):
     """Return the field of a record that says since when it is there; none for version 1.0."""
     since = joined().get(id, LATEST)
-    return {} if since == published.VERSIONS[0] else {"since": since}
+    return {} if since == FIRST else {"since": since}
 
 
 def settings(inputs):
@@ -131,18 +133,18 @@ def subject_file(subject, kept):
     records, tensors, names = [], {}, []
     for case in subject.cases():
         if case.name in kept:
-            record, own = dict(kept[case.name].record), kept[case.name].tensors
+            record, arrays = dict(kept[case.name].record), kept[case.name].tensors
         else:
-            record, own = vector(subject, case)
+            record, arrays = vector(subject, case)
         records.append(record)
-        names.append(list(own))
-        tensors.update({f"{case.name}/{name}": a for name, a in own.items()})
+        names.append(list(arrays))
+        tensors.update({f"{case.name}/{name}": a for name, a in arrays.items()})
     if len({record["id"] for record in records}) < len(records):
         raise ValueError(f"{subject.key}: two cases have one name")
     data = safetensors.dump(tensors, {"license": "CC0-1.0"})
     places = places_in(data)
-    for record, own in zip(records, names):
-        record["tensors"] = [{"name": n, **places[f"{record['name']}/{n}"]} for n in own]
+    for record, arrays in zip(records, names):
+        record["tensors"] = [{"name": n, **places[f"{record['name']}/{n}"]} for n in arrays]
     row = {
         "key": subject.key,
         "level": subject.level,
@@ -162,8 +164,12 @@ def subject_file(subject, kept):
 def build(progress=lambda text: None, keep=False, again=()):
     """Return every file of vectors, {name: bytes}, and the manifest.
 
+    Raises ValueError where an equation lacks something.
+
     With `keep`, the published cases stay as they are, except those of the subjects `again`.
     """
+    for line in filter(None, map(lacking, ALL_EQUATIONS)):
+        raise ValueError(line)
     files, rows = {}, []
     for subject in subjects().values():
         progress(f"vectors of {subject.key}")
@@ -204,14 +210,14 @@ def stream_records():
             "sha256": row["sha256"],
         }
 
-    rows, found = streams.read_rows(), []
+    rows, records = streams.read_rows(), []
     for row in rows["good"]:
         arrays = {"expected": f"streams/{row['expected']}", "arrays": row["arrays"]}
-        found.append({**record(row, "valid"), **arrays})
+        records.append({**record(row, "valid"), **arrays})
     for row in rows["bad"]:
         refusal = {key: row[key] for key in ("section", "offset", "kind")}
-        found.append({**record(row, "invalid"), **refusal})
-    return found
+        records.append({**record(row, "invalid"), **refusal})
+    return records
 
 
 def flags():
@@ -220,16 +226,16 @@ def flags():
     for subject in subjects().values():
         for flag in {flag for case in subject.cases() for flag in case.flags}:
             bear[flag].append(subject)
-    found = {}
+    rows = {}
     for flag, text in FLAGS.items():
         description, hunts = text.split(": ", 1)
-        found[flag] = {
+        rows[flag] = {
             "description": description,
             "hunts": hunts,
             "subjects": [subject.key for subject in bear[flag]],
             "equations": list(dict.fromkeys(subject.equation for subject in bear[flag])),
         }
-    return found
+    return rows
 
 
 def write(folder, progress=lambda text: None, keep=False, again=()):
@@ -262,12 +268,12 @@ def _json(value):
 
 def damaged(folder):
     """Return the files of vectors in a folder whose bytes are not those of its manifest."""
-    found = []
+    names = []
     for name, file in read_manifest(folder)["files"].items():
         path = Path(folder) / name
         if not path.is_file() or _sum(path.read_bytes()) != file:
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
 def _sum(data):
@@ -276,11 +282,11 @@ def _sum(data):
 
 def digest(case):
     """Return the hash of all tensors of a published case but the scales, which are measured."""
-    found = hashlib.sha256()
+    sha256 = hashlib.sha256()
     for name, a in sorted(case.tensors.items()):
         if not name.startswith("scale."):
-            found.update(name.encode() + a.tobytes())
-    return found.hexdigest()[:16]
+            sha256.update(name.encode() + a.tobytes())
+    return sha256.hexdigest()[:16]
 
 
 def listed():
@@ -295,8 +301,8 @@ def listed():
 
 def write_ids(again=()):
     """Add new cases and streams to the list of all; replace those of the subjects `again`."""
-    found = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
-    rows = [row for row in found if row["id"].split("/")[0] not in again]
+    published_rows = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
+    rows = [row for row in published_rows if row["id"].split("/")[0] not in again]
     known = {row["id"] for row in rows}
     for id, sha256 in listed().items():
         if id not in known:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import quantise
-from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
+from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.lab import effect_ledger
@@ -22,7 +22,7 @@ from p4dgs_ref.training.trainer import Trainer, assemble
 
 EPS = np.finfo(float).eps
 VIEW = ("view_color", "view_geometry")
-SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
 
 def trained(name, *forced):
@@ -50,7 +50,7 @@ def test_ledger(tmp_path):
         assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
     background = rows[MODEL_EFFECTS.index("background")]
     assert background["worth_db"] > 0.5
-    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.describe(rows)
+    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.to_text(rows)
     effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
     with open(tmp_path / "ledger.csv", newline="") as file:
         assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)

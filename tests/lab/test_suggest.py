@@ -13,7 +13,7 @@ from p4dgs_ref.lab import suggest
 from p4dgs_ref.scenes import MODEL_EFFECTS, SIMULATOR_EFFECTS, Scene, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.training.presets import TINY
 from tests.sampling import of_the_day
 from tests.training.effect_scenes import described
@@ -26,7 +26,7 @@ def suggested(scene, **options):
 @pytest.fixture
 def quick(monkeypatch):
     """No training: every view gains what this dictionary says of its effect, give or take 0.1."""
-    gains = dict.fromkeys(("translation", *suggest.VIEW, "occlusion"), 0.0)
+    gains = dict.fromkeys(("translation", *suggest.OF_VIEW, "occlusion"), 0.0)
     noise = np.linspace(-0.1, 0.1, 8)
     monkeypatch.setattr(suggest, "paired", lambda task: gains[task[2]] + noise)
     return gains
@@ -81,8 +81,8 @@ def test_every_effect_has_a_verdict_and_a_number(quick):
 
 def test_one_time_and_few_views(quick):
     scene = load_scene("bouncing")
-    assert suggest.foretold(scene, jobs=2) > 0
-    assert suggest.foretold(replace(scene, train=scene.train[:11])) == 0
+    assert suggest.seconds_of(scene, jobs=2) > 0
+    assert suggest.seconds_of(replace(scene, train=scene.train[:11])) == 0
     frozen = suggested(replace(scene, train=[replace(view, time=0.5) for view in scene.train]))
     assert {frozen[effect]["verdict"] for effect in MOTION} == {"no"}
     assert "0.5" in frozen["translation"]["evidence"]
@@ -131,7 +131,7 @@ def test_all_trainings_together_are_shorter_than_one():
 
 def still(**changes):
     """A variation of the scene `static`, drawn anew."""
-    description = describe({**described("static", SIMULATOR_EFFECTS), **changes})
+    description = read_description({**described("static", SIMULATOR_EFFECTS), **changes})
     posed = place_cameras(description, "train")
     return Scene.from_arrays(
         [np.rint(trace.trace(description, c, t) * 255).astype(np.uint8) for c, t in posed],

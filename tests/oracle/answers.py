@@ -21,14 +21,14 @@ def in_precision(tensors, dtype):
 def right(key, dtype=np.float64):
     """What a right port writes for one subject, {"ordinary/out.x": array}."""
     cases = published.cases(key)
-    found = {f"{case.name}/{n}": a for case in cases for n, a in expected(case.tensors).items()}
-    return in_precision(found, dtype)
+    answers = {f"{case.name}/{n}": a for case in cases for n, a in expected(case.tensors).items()}
+    return in_precision(answers, dtype)
 
 
 def broken(key, name, change):
     """The same with one tensor changed."""
-    found = right(key)
-    return found | {name: change(np.array(found[name]))}
+    answers = right(key)
+    return answers | {name: change(np.array(answers[name]))}
 
 
 def write(folder, **answers):

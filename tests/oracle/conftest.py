@@ -2,9 +2,8 @@
 
 import pytest
 
-from p4dgs_ref.lab.school.room import equations
-from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.streams import export
+from p4dgs_ref.table import EQUATIONS
 from tests.golden import kill_matrix
 from tests.golden.kill_matrix import Judge
 from tests.oracle.answers import right, write
@@ -23,13 +22,13 @@ def hasty(monkeypatch):
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
-    """A folder with an export of the first version, and what `export` returned."""
+    """A folder with an export of the vectors, and what `export` returned."""
     folder = tmp_path_factory.mktemp("exported") / "v1"
-    return folder, export(folder, published.VERSIONS[0])
+    return folder, export(folder)
 
 
 @pytest.fixture(scope="session")
 def answered(tmp_path_factory):
     """A folder with right answers to the paper's equations, and to nothing else."""
-    keys = equations()
-    return write(tmp_path_factory.mktemp("answered"), **{key: right(key) for key in keys})
+    answers = {key: right(key) for key in EQUATIONS}
+    return write(tmp_path_factory.mktemp("answered"), **answers)

@@ -266,7 +266,7 @@ def test_a_log_or_another_version_is_named(port, twist, words):
 
 
 def test_floods_are_bounded(port, monkeypatch):
-    monkeypatch.setattr(adapter_module, "LONGEST", 10**6)
+    monkeypatch.setattr(adapter_module, "MAX_ANSWER_BYTES", 10**6)
     kind, message = failure(port("if n: send('x' * 2 * 10**6); time.sleep(60)"))
     assert kind == "nonsense" and "1,000,000 bytes" in message
     assert failure(port("while n: send('x\\n' * 65536)"))[0] == "nonsense"
@@ -337,21 +337,21 @@ def test_a_port_may_say_that_it_lacks_gradients_and_subjects(port):
     )
     cases = [case(*id, np.ones(3)) for id in (("0", "offsets"), ("1", "offsets"), ("0", "view"))]
     cases[1].tensors["out.y"] = np.zeros(3)
-    found = checker.Report([checker.judge(asked, ask)[0] for asked in cases], ask.says)
-    assert {r.verdict: r.required for r in found.results} == {
+    results = checker.Report([checker.judge(asked, ask)[0] for asked in cases], ask.says)
+    assert {r.verdict: r.required for r in results.results} == {
         "pass": True,
         "fail": True,
         "absent": False,
     }
-    assert "gradients: outputs alone were judged\nthe port lacks view: 1 cases" in str(found)
-    assert {"gradients": False, "lacking": ["view"]}.items() <= report.as_json(found).items()
+    assert "gradients: outputs alone were judged\nthe port lacks view: 1 cases" in str(results)
+    assert {"gradients": False, "lacking": ["view"]}.items() <= report.as_json(results).items()
 
 
 def test_a_port_that_cannot_start_is_given_up(port):
     ask = port(start="sys.exit('no device')")
     assert verdicts(ask, 9) == ["died"] * 9 and len(port.pids()) == 3
-    said = failure(ask)[1]
-    assert said.startswith("not asked, after 3 failures in a row") and "no device" in said
+    message = failure(ask)[1]
+    assert message.startswith("not asked, after 3 failures in a row") and "no device" in message
 
 
 def test_losses_with_answers_between_them_are_no_reason_to_give_up(port):

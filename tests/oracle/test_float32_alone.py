@@ -79,8 +79,8 @@ def ours(case):
 
 @pytest.mark.parametrize("key", few(KEYS, 12))
 def test_a_right_port_fails_nothing(key):
-    found = Report(check_subject(published.cases(key), alone(ours)))
-    assert not any(r.wrong for r in found.results), str(found)
+    report = Report(check_subject(published.cases(key), alone(ours)))
+    assert not any(r.wrong for r in report.results), str(report)
 
 
 @pytest.mark.filterwarnings("ignore:Mean of empty slice")  # of mistakes of the window of SSIM
@@ -100,10 +100,10 @@ def test_what_is_not_judged_is_counted_apart():
     assert list(lost) == ["projection/H-G3.1e4px", "projection/H-G4.scale1e30"]
     assert list(lost) == [r.id for r in strictly if r.wrong]
     assert all({"out.visible", "out.cov2d"} < {*unasked} for unasked in lost.values())
-    found, cases = Report(results), sum(r.verdict == "unasked" for r in results)
+    report, cases = Report(results), sum(r.verdict == "unasked" for r in results)
     tensors = sum(len(r.unasked) for r in results if r.verdict == "pass")
-    assert f"{cases} cases and {tensors} tensors of other cases are not judged here" in str(found)
-    assert found.levels()["L1"]["passed"] == len(results) - cases
-    rows = {row["id"]: row for row in as_json(found)["cases"]}
+    assert f"{cases} cases and {tensors} tensors of other cases are not judged here" in str(report)
+    assert report.levels()["L1"]["passed"] == len(results) - cases
+    rows = {row["id"]: row for row in as_json(report)["cases"]}
     assert rows["projection/H-G3.1e3px"]["unasked"] == ["out.conic", "in_bar.Sigma"]
     assert not rows["likelihood/H-R5.width1e+06"]["required"]

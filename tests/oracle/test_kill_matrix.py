@@ -7,7 +7,7 @@ import pytest
 from p4dgs_ref.oracle import published
 from tests.golden import kill_matrix
 from tests.golden.equivalent import EQUIVALENT
-from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix, of_mistake
+from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mutate import applied, mutations
 from tests.sampling import SEED
@@ -16,19 +16,13 @@ DRAW = random.Random(SEED)
 
 
 # --- what the file says -------------------------------------------------------------------------
-def test_every_known_mistake_is_killed_named_and_explained():
-    assert committed()["mistakes"] == dict.fromkeys(
-        ("total", "killed", "named", "explained"), len(MISTAKES)
-    )
-
-
 def test_mutations_are_killed_or_equivalent():
-    found = committed()["mutations"]
+    counts = committed()
     names = [mutation.id for mutation in mutations()]
-    assert len(set(names)) == len(names) == found["total"] >= 300
-    assert found["killed"] >= 0.98 * found["total"]
-    assert found["killed"] + len(found["survivors"]) == found["total"]
-    reasons = {survivor["id"]: survivor["reason"] for survivor in found["survivors"]}
+    assert len(set(names)) == len(names) == counts["total"] >= 300
+    assert counts["killed"] >= 0.98 * counts["total"]
+    assert counts["killed"] + len(counts["survivors"]) == counts["total"]
+    reasons = {survivor["id"]: survivor["reason"] for survivor in counts["survivors"]}
     assert reasons == EQUIVALENT and all(EQUIVALENT.values())
 
 
@@ -36,22 +30,17 @@ def test_the_pages_say_what_the_file_says():
     top = kill_matrix.MATRIX.parents[2]
     reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
     reference = " ".join(reference.split())
-    found = committed()["mutations"]
+    counts = committed()
     assert f"the answers to which {len(MISTAKES)} common mistakes lead" in reference
-    assert f"with some {round(found['total'], -1):,} one-token mutations" in reference
-    assert f"mutations, {100 * found['killed'] / found['total']:.1f} % are detected" in reference
+    assert f"with some {round(counts['total'], -1):,} one-token mutations" in reference
+    assert f"mutations, {100 * counts['killed'] / counts['total']:.1f} % are detected" in reference
     readme = (top / "README.md").read_text(encoding="utf-8")
     assert f"explains {len(MISTAKES)} common mistakes" in " ".join(readme.split())
 
 
 # --- whether it is true -------------------------------------------------------------------------
-def test_some_known_mistakes_again(judge):
-    for mistake in DRAW.sample(MISTAKES, 4):
-        assert of_mistake(judge, mistake) == (True, True, True), mistake.id
-
-
 def test_some_mutations_again(judge, hasty):
-    survivors = {survivor["id"] for survivor in committed()["mutations"]["survivors"]}
+    survivors = {survivor["id"] for survivor in committed()["survivors"]}
     for mutation in DRAW.sample(mutations(), 60):
         assert is_killed(judge, mutation) == (mutation.id not in survivors), mutation.id
 

@@ -46,25 +46,25 @@ MISSED = {
 @pytest.mark.parametrize("key, dtype", few(CONCERNED, 12))
 def test_the_formulas_as_printed_are_acceptable_or_not_judged_and_fail_strictly(key, dtype):
     """SSIM and its loss are among them."""
-    found, strictly = (judged(key, dtype, strict) for strict in (False, True))
-    assert found.ok and found.first is None, str(found)
-    acceptable = {r.id for r in found.results if r.verdict == "acceptable" and r.required}
-    vague = {r.id for r, s in zip(found.results, strictly.results) if r.unasked != s.unasked}
+    results, strictly = (judged(key, dtype, strict) for strict in (False, True))
+    assert results.ok and results.first is None, str(results)
+    acceptable = {r.id for r in results.results if r.verdict == "acceptable" and r.required}
+    vague = {r.id for r, s in zip(results.results, strictly.results) if r.unasked != s.unasked}
     assert acceptable | vague == {r.id for r in strictly.results if r.wrong}
     if dtype is np.float64:
         assert {id for id in MISSED if id.startswith(f"{key}/")} <= acceptable | vague
-    (row,) = found.levels().values()
+    (row,) = results.levels().values()
     assert row["of"] - row["passed"] == row["acceptable"] == len(acceptable) < row["of"]
-    assert {r.recipe for r in found.results} <= {"", scales.RECIPES.get(key)}
+    assert {r.recipe for r in results.results} <= {"", scales.RECIPES.get(key)}
 
 
 def test_the_report_says_so():
-    found, strictly = (judged("deformed", np.float64, strict) for strict in (False, True))
-    said = "right formula, fewer digits here; the recipe is: |r| by hypot"
-    assert said in str(found) and said in str(strictly)
-    assert "acceptable: deformed/H-G5.nearly_w, " in str(found)
-    assert "every required case passes or is acceptable" in str(found)
-    rows = {row["id"]: row for row in report.as_json(found)["cases"]}
+    results, strictly = (judged("deformed", np.float64, strict) for strict in (False, True))
+    message = "right formula, fewer digits here; the recipe is: |r| by hypot"
+    assert message in str(results) and message in str(strictly)
+    assert "acceptable: deformed/H-G5.nearly_w, " in str(results)
+    assert "every required case passes or is acceptable" in str(results)
+    rows = {row["id"]: row for row in report.as_json(results)["cases"]}
     row = rows["deformed/H-P2.zero"]
     assert row["verdict"] == "acceptable" and row["required"] and row["recipe"] and row["worst"]
     assert row["explanation"] is None and rows["deformed/ordinary"]["recipe"] is None

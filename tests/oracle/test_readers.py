@@ -36,10 +36,10 @@ LAST = 5 * 4 * 3 - 1  # of the outputs of offsets/ordinary
 
 def program(language, section="Readers"):
     """The one program of a language in a section of the page."""
-    (found,) = re.findall(
+    (text,) = re.findall(
         rf"^```{language}\n(.*?)^```$", SECTIONS[section], re.DOTALL | re.MULTILINE
     )
-    return found
+    return text
 
 
 def printed(language):
@@ -223,8 +223,8 @@ def test_the_example_is_right_in_what_it_does(dtype):
             assert report.ok and len(report.results) >= 4
             assert {r.verdict for r in report.results} <= {"pass", "unasked"}
         report = check_port(port, ["L1"], "view")
-        said = {(r.verdict, r.explanation) for r in report.results if r.verdict != "unasked"}
-        assert not report.ok and said == {("skipped", "not written yet")}
+        reasons = {(r.verdict, r.explanation) for r in report.results if r.verdict != "unasked"}
+        assert not report.ok and reasons == {("skipped", "not written yet")}
 
 
 # --- answers ------------------------------------------------------------------------------------
@@ -295,11 +295,11 @@ def test_a_writer_writes_every_type(language, tmp_path):
     }
     write(language, tmp_path / "all.safetensors", given)
     data = (tmp_path / "all.safetensors").read_bytes()
-    found = safetensors.load(data)
-    assert list(found) == list(given) and struct.unpack_from("<Q", data)[0] % 8 == 0
+    arrays = safetensors.load(data)
+    assert list(arrays) == list(given) and struct.unpack_from("<Q", data)[0] % 8 == 0
     for name, (dtype, a) in given.items():
-        assert found[name].dtype == TYPES[dtype] and np.array_equal(
-            found[name], a.astype(TYPES[dtype])
+        assert arrays[name].dtype == TYPES[dtype] and np.array_equal(
+            arrays[name], a.astype(TYPES[dtype])
         ), name
 
 
@@ -321,18 +321,18 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
     assert cli.run(whole, 0.0) == 1  # nothing is there: everything is missing
     assert cli.run([*export[:2], str(tmp_path)], 0.0) == 2  # neither empty nor an export
     write_answers(answered, **{key: right(key) for key in published.subjects()})
-    found = []
+    judged = []
     for line in others:
         capsys.readouterr()
         assert cli.run([*line, "--json"], 0.0) == 0, line
         cases = json.loads(capsys.readouterr().out)["cases"]
         by = "level" if line.count("--level") == 2 else "id"
-        found.append({case[by].split("/")[0] for case in cases})
-    assert found == [
+        judged.append({case[by].split("/")[0] for case in cases})
+    assert judged == [
         {"L0", "L1"},
         {"step", "step_floor", "prior", "sigma_clamp"},
         {"step"},
-        {s["key"] for s in read_manifest(version="1.0")["subjects"] if s["level"] == "L2"},
+        {s["key"] for s in read_manifest()["subjects"] if s["level"] == "L2"},
         set(BASELINE_EQUATIONS),
         {"weight_bits"},
         {"trace_steps", "training_steps", "kernel_pixels"},
@@ -412,8 +412,8 @@ def test_b1_as_the_page_says_it_is_enough(dtype):
             p = -(np.expm1(-near) + np.expm1(-far)) / 2
             log_p = np.where(a < 0.5, np.log(p), -near + np.log(width))
             apart = (np.exp(-near) - np.exp(-far)) / (2 * b * p)
-            beside = np.where(a > b, apart, np.exp(-0.5 / b) * np.sinh(a / b) / (b * p))
-        slope = np.where(a < 0.5, beside, 1 / b) * np.sign(k) / (step * math.log(2))
+            within = np.where(a > b, apart, np.exp(-0.5 / b) * np.sinh(a / b) / (b * p))
+        slope = np.where(a < 0.5, within, 1 / b) * np.sign(k) / (step * math.log(2))
         return {"bits": -log_p / math.log(2)}, {"w": slope, "step": -k * slope}
 
     def vjp(given, bars):

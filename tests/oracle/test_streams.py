@@ -11,7 +11,7 @@ import pytest
 
 from p4dgs_ref.codec import published
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
@@ -197,9 +197,9 @@ def test_refusals(folder):
     reasons = json.loads(path.read_text())
     path.write_text(json.dumps({**reasons, "nothing": None, "truncated": 3, "full": "too large"}))
     wrong = check(folder, "nothing", "truncated", "full")
-    found = {name: (r.verdict, r.explanation) for name, r in wrong.items()}
-    assert [verdict for verdict, _ in found.values()] == ["fail", "damaged", "fail"]
-    assert "too large" in found["full"][1] and "a file of no bytes" in found["nothing"][1]
+    verdicts = {name: (r.verdict, r.explanation) for name, r in wrong.items()}
+    assert [verdict for verdict, _ in verdicts.values()] == ["fail", "damaged", "fail"]
+    assert "too large" in verdicts["full"][1] and "a file of no bytes" in verdicts["nothing"][1]
     path.write_text(json.dumps({name: why for name, why in reasons.items() if name != "no_json"}))
     assert {name: r.verdict for name, r in check(folder).items()} == {"no_json": "missing"}
     shutil.copy(folder / "codec" / "full.safetensors", folder / "codec" / "no_json.safetensors")
@@ -224,16 +224,16 @@ def forget(folder, names, why=None):
 def test_a_port_may_leave_out_version_2(folder, why):
     """Refused or without an answer: the valid streams, or the whole version."""
     forget(folder, VALID_2, why)
-    found = checker.check_port(FolderPort(folder), only="codec")
-    assert found.ok and found.levels()["L3"]["of"] == len(GOOD + BAD) - len(VALID_2)
-    assert "L3: 6 cases left out, which is allowed" in str(found)
-    assert {r.id[6:] for r in found.results if not r.required} == set(VALID_2)
-    assert {r.verdict for r in found.results if not r.required} == {"skipped"}
+    report = checker.check_port(FolderPort(folder), only="codec")
+    assert report.ok and report.levels()["L3"]["of"] == len(GOOD + BAD) - len(VALID_2)
+    assert "L3: 6 cases left out, which is allowed" in str(report)
+    assert {r.id[6:] for r in report.results if not r.required} == set(VALID_2)
+    assert {r.verdict for r in report.results if not r.required} == {"skipped"}
     forget(folder, VERSION_2, why)
-    found = checker.check_port(FolderPort(folder), only="codec")
+    report = checker.check_port(FolderPort(folder), only="codec")
     left = VALID_2 if why else VERSION_2  # invalid streams that are refused count as passes
-    assert found.ok and {r.id[6:] for r in found.results if not r.required} == set(left)
-    assert f"L3: {len(left)} cases left out" in str(found)
+    assert report.ok and {r.id[6:] for r in report.results if not r.required} == set(left)
+    assert f"L3: {len(left)} cases left out" in str(report)
 
 
 @pytest.mark.parametrize("why", ["version 2", None])
@@ -300,9 +300,9 @@ def test_a_process_may_skip_version_2():
                 raise PortError("skipped", "not written yet")
             return super().decode(name, data)
 
-    found = checker.Report(streams.check(Skips("")))
-    assert {r.id[6:] for r in found.results if not r.required} == set(VERSION_2)
-    assert [r.id for r in found.results if r.wrong] == ["codec/wrong_version"]
+    report = checker.Report(streams.check(Skips("")))
+    assert {r.id[6:] for r in report.results if not r.required} == set(VERSION_2)
+    assert [r.id for r in report.results if r.wrong] == ["codec/wrong_version"]
 
 
 def test_the_manifest_says_where_and_what(tmp_path):

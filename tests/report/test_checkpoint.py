@@ -16,13 +16,13 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.scenes.output import OutputError
+from p4dgs_ref.designs import choose, fit, load_model
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
+from p4dgs_ref.training.fit import CHECKPOINT, RunError, load_checkpoint
 from p4dgs_ref.training.parameters import Adam
-from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 from tests.processes import start
 from tests.sampling import few
@@ -244,7 +244,7 @@ def scene():
 
 CODED = {
     **LIVELY,
-    "coded": True,
+    "is_coded": True,
     "position_bits": 10,
     "network_ramp": 9,
     "lr_step": (0.02, 0.01),
@@ -325,10 +325,18 @@ def test_killed_in_the_middle_of_a_checkpoint(scene, whole, tmp_path, monkeypatc
     assert [*go_on(scene, settings, tmp_path)] == want
 
 
-OPTIONS = (
-    "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=20,30,60,120 "
-    "--save-every 0"
-)
+OPTIONS = "--preset smoke --seed 2 --downscale 4 --set grow=reseed --set stage_ends=20,30,60,120"
+# The command line with a checkpoint after every iteration.
+EAGER = """
+import sys
+from functools import partial
+from p4dgs_ref import prepare
+prepare()
+from p4dgs_ref import designs
+from p4dgs_ref.__main__ import main
+designs.fit = partial(designs.fit, save_every=0)
+sys.exit(main())
+"""
 
 
 def stop_at(iteration, process, run, how):
@@ -345,7 +353,7 @@ def stop_at(iteration, process, run, how):
 def test_interrupted_then_killed_then_resumed(tmp_path):
     """In other processes, with the option that the interrupted one names."""
     train, run = (
-        ("-m", "p4dgs_ref", "train", "bouncing", *OPTIONS.split(), "-o"),
+        ("-c", EAGER, "train", "bouncing", *OPTIONS.split(), "-o"),
         tmp_path / "b run",
     )
     uninterrupted = start(*train, "a run", "--quiet", cwd=tmp_path)

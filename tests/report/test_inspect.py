@@ -9,9 +9,9 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
-from p4dgs_ref.codec.container import SECTIONS, layout, read_container
-from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.codec.gaussian_table import table
+from p4dgs_ref.codec.container import SECTIONS
+from p4dgs_ref.codec.gaussian_table import lookup_table
+from p4dgs_ref.designs import layout, quantised_of, read_container
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report.inspect import anchor_bits, ledger, symbol_bits
 from tests import processes
@@ -49,7 +49,7 @@ def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):
     parts = ("positions", "features", "scales", "offset_scales", "offsets", "masks")
     total = sum(rows[name]["integer_bytes"] for name in parts)
     assert bits.sum() / 8 == pytest.approx(total, rel=1e-4)
-    q = quantised_of(read_container(data))
+    q = quantised_of(data)
     assert symbol_bits(q).shape == q.symbols.shape
     assert not symbol_bits(q)[~q.kept].any()
 
@@ -71,7 +71,7 @@ def test_the_format_page_is_complete():
         assert words in text, words
     words = " ".join(text.split())
     for name in ("phi", "exp2", "sigmoid", "log2"):
-        assert " ".join(map(str, table(name).tolist())) in words
+        assert " ".join(map(str, lookup_table(name).tolist())) in words
 
 
 def test_the_format_page_lists_sections_in_the_order_of_the_file():

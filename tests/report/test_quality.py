@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.designs import fit, what_is_lost
 from p4dgs_ref.report.inspect import components
-from p4dgs_ref.training.fit import fit, lost
 from tests.sampling import of_the_day
 
 THIN = Path(__file__).parent / "thin_scenes"
@@ -67,7 +67,7 @@ def test_thin_rods_over_a_slab_are_lost_with_a_warning_and_clearly_better_with_b
             drawn = model.render(view.camera, view.time)
             errors.append([((a - view.image)[rods] ** 2).sum() for a in (drawn, mean)])
         ours, flat = np.sum(errors, axis=0)
-        return 10 * np.log10(flat / ours), lost(trainer)
+        return 10 * np.log10(flat / ours), what_is_lost(trainer)
 
     (paper, told), (ours, _) = gain("tiny"), gain("tiny_coded")
     assert ours > 2 > paper + 3 and "what moves is lost" in told and "--set body=true" in told

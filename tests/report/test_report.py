@@ -10,6 +10,7 @@ import math
 import multiprocessing
 import os
 import time
+from dataclasses import replace
 
 import imageio.v3 as iio
 import numpy as np
@@ -18,14 +19,14 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
+from p4dgs_ref.designs import fit, paper_preset
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
-from p4dgs_ref.report.evaluate import decibel, explicit_bytes, score
+from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
 from p4dgs_ref.report.jobs import in_processes
-from p4dgs_ref.scenes.output import OutputError
-from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.loop import COLUMNS
-from p4dgs_ref.training.presets import TINY, TINY_CODED, paper_design
+from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
 from tests.sampling import few
 
@@ -34,7 +35,7 @@ PICTURES = {"comparison.png", "motion.gif", "size.png", "training.png"}
 TABLES = {"comparison.csv", "size.csv", "training.csv"}
 # Masks and statistics are in use when stage 4 begins.
 CHANGES = {"Q_O": 0.2, "grow_every": 4, "mask_from": 10, "min_opacity": 0.2}
-CODED = {"coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002), "body": True}
+CODED = {"is_coded": True, "network_ramp": 10, "lr_step": (0.02, 0.002), "body": True}
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +112,8 @@ def test_measures_against_sums_by_hand(scene):
     assert got["psnr_fg_db"] == pytest.approx(-10 * math.log10(sum(inside) / len(inside)), rel=1e-9)
     same = score(view.image, view)
     assert same["psnr_db"] == same["psnr_fg_db"] == math.inf and same["ssim"] == pytest.approx(1)
-    assert decibel(0.0) == math.inf and decibel(0.01) == pytest.approx(20)
+    black = np.zeros((2, 2, 3))
+    assert psnr(black, black) == math.inf and psnr(black + 0.1, black) == pytest.approx(20)
 
 
 def test_bytes_of_the_plain_gaussians(done):
@@ -159,14 +161,15 @@ def test_equal_images(tmp_path, recwarn):
 def test_a_preset_with_nothing_of_ours_is_trained_once(monkeypatch, tmp_path):
     """Also where it changes a field that only coded networks use."""
     monkeypatch.setattr(job, "one_design", lambda *arguments: "own")
-    preset = TINY._replace(network_ramp=5)
-    assert preset != paper_design(preset)
+    off = dict(is_coded=False, position_bits=16, body=False, network_ramp=5)
+    preset = replace(p4.PRESETS["tiny_coded"], **off)
+    assert preset != paper_preset(preset)
     assert job.designs(None, preset, 0, tmp_path / "a.p4dgs", None, 1) == ("own", None)
 
 
 def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path):
     """The paper's design beside it has the same changes, and is what its own preset trains."""
-    assert paper_design(TINY_CODED)._replace(name="tiny") == TINY
+    assert replace(paper_preset(p4.PRESETS["tiny_coded"]), name="tiny") == TINY
     metrics = p4.main_job(scene, "smoke", 2, tmp_path, **CHANGES, **CODED)
     assert [what[-4:] for what in metrics["beyond_the_paper"]] == ["(B1)", "(B3)"]
     folder, paper = done

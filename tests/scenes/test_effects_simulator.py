@@ -6,7 +6,7 @@ import pytest
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS
 from p4dgs_ref.scenes.simulator import bodies, place_cameras, trace
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from tests.training.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
 
 STILL = {
@@ -24,7 +24,7 @@ CODE = {
     "scaling": [(bodies.MOTIONS, "pulse")],
     "view_geometry": [(bodies, "facing")],
     "occlusion": [(trace, "nearest")],
-    "texture": [(trace, "textured")],
+    "texture": [(bodies.TEXTURES, kind) for kind in ("checker", "stripes")],
     "diffuse": [(trace, "diffuse")],
     "specular": [(trace, "specular")],
 }
@@ -57,7 +57,7 @@ def facing_bodies(data):
 
 
 def drawn(data, t=0.37, view=4):
-    description = describe(data)
+    description = read_description(data)
     camera = place_cameras(description, "train")[view][0]
     return trace.trace(description, small_camera(camera, 14), t)
 
@@ -114,7 +114,10 @@ def test_simulator_does_not_call_what_is_off(name, effect, monkeypatch):
 
     for place, key in CODE[effect]:
         if isinstance(place, dict):
-            monkeypatch.setitem(place, key, (effect, noted(place[key][1])))
+            entry = place[key]
+            of_motion = isinstance(entry, tuple)
+            watched = (effect, noted(entry[1])) if of_motion else noted(entry)
+            monkeypatch.setitem(place, key, watched)
         else:
             monkeypatch.setattr(place, key, noted(getattr(place, key)))
     some = [e for e in simulated_effects(name) if e != effect]

@@ -8,9 +8,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from p4dgs_ref.designs import choose
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import read_points_for
-from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 from tests.scenes.refusals import refuse
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from p4dgs_ref.output import OutputError
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
-from p4dgs_ref.scenes.output import OutputError
 from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
 from p4dgs_ref.scenes.simulator.bodies import box_hit, capsule_hit, poses
-from p4dgs_ref.scenes.simulator.description import describe
+from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.splatting.camera import look_at
 from tests.scenes.refusals import refuse
 
@@ -42,14 +42,7 @@ FULL = {
 
 
 def changed(**changes):
-    return describe({**copy.deepcopy(FULL), **changes})
-
-
-SHAPES = [
-    {"kind": "sphere", "radius": 0.7, "center": [0.1, -0.2, 0.3]},
-    {"kind": "box", "half": [0.5, 0.3, 0.8], "center": [-0.2, 0.1, 0.0]},
-    {"kind": "capsule", "start": [-0.4, 0.2, -0.5], "end": [0.5, -0.3, 0.6], "radius": 0.35},
-]
+    return read_description({**copy.deepcopy(FULL), **changes})
 
 
 def test_rays_parallel_to_faces_and_axes():
@@ -178,7 +171,7 @@ def test_cameras_survive_the_way_through_the_file(tmp_path):
     calls = []
     simulate(FULL, tmp_path / "out", progress=lambda *call: calls.append(call))
     assert calls == [(i, 5) for i in range(1, 6)]
-    description, scene = describe(FULL), load_scene(tmp_path / "out", background="black")
+    description, scene = read_description(FULL), load_scene(tmp_path / "out", background="black")
     for split, views in (("train", scene.train), ("test", scene.test)):
         for (eye, t), view in zip(place_cameras(description, split), views, strict=True):
             assert view.time == t

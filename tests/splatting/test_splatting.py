@@ -201,18 +201,18 @@ def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
 # --- memory ---
 @pytest.mark.parametrize("n, scale", [(2000, 0.06), (100, 0.5), (10_000, 0.004)])
 def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
-    """Both passes stay below what `MOST_PAIRS` promises, and one pair too many is refused."""
+    """Both passes stay below what `MAX_PAIRS` promises, and one pair too many is refused."""
     rng = np.random.default_rng(0)
     camera = look_at((0, -3.6, 0), (0, 0, 0), 300, 300, 256, 256)
     r = rng.normal(size=(n, 4))
     r /= np.linalg.norm(r, axis=1, keepdims=True)
     x, alpha = rng.uniform(-1, 1, (n, 3)), rng.uniform(0.01, 0.05, n)
     inputs = x, np.full((n, 3), scale), r, alpha, np.ones((n, 3)), camera, np.ones(3), FAST
-    monkeypatch.setattr(tiles, "MOST_PAIRS", 0)
+    monkeypatch.setattr(tiles, "MAX_PAIRS", 0)
     with pytest.raises(ValueError, match="pairs of Gaussians and tiles") as refused:
         render.forward(*inputs)
     pairs = int(str(refused.value).split()[0])
-    monkeypatch.setattr(tiles, "MOST_PAIRS", pairs)  # just enough
+    monkeypatch.setattr(tiles, "MAX_PAIRS", pairs)  # just enough
     tracemalloc.start()
     try:
         (image, *_), saved = render.forward(*inputs)

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from p4dgs_ref.codec.file import encode
+from p4dgs_ref.designs import encode
 from p4dgs_ref.lab.effect_ledger import counted
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
@@ -16,7 +16,7 @@ from p4dgs_ref.training.trainer import Trainer
 # One packaged scene for each list of effects; orbit lists those of bouncing, orientation static's.
 SCENES = ("bouncing", "figure", "glossy", "static")
 EPS = np.finfo(float).eps
-SHORT = SMOKE._replace(stage_ends=(1, 2, 3, 5))  # every stage, in five steps
+SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 SEEN_BY = {"view_color": ("psi_c",), "view_geometry": ("psi_alpha", "psi_r", "psi_s")}
 
 

@@ -1,5 +1,7 @@
 """Growing, re-seeding, pruning and masking of anchors, by hand and in training."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from p4dgs_ref.training import density
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, SMOKE, TINY
 from p4dgs_ref.training.trainer import Trainer
 
-SCAFFOLD = PAPER_SYNTHETIC._replace(k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+SCAFFOLD = replace(PAPER_SYNTHETIC, k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +20,7 @@ def scene():
 
 
 def prepared(scene, preset, A=12):
-    trainer = Trainer(scene, preset._replace(anchors=A))
+    trainer = Trainer(scene, replace(preset, anchors=A))
     statistics = trainer.statistics
     statistics.visits[:] = 100
     statistics.opacity[:] = 50
@@ -53,7 +55,7 @@ def test_scaffold_growing_by_hand(scene):
 
 
 def test_growing_does_not_double_an_occupied_voxel(scene):
-    preset = SCAFFOLD._replace(grow_depth=1)
+    preset = replace(SCAFFOLD, grow_depth=1)
     trainer, statistics = prepared(scene, preset)
     statistics.gradient[3] = 100.0  # all four children sit on their anchor: O_a = 0
     rng = np.random.default_rng(0)
@@ -163,7 +165,8 @@ def test_reseeding_copies_where_the_image_pulls(scene):
 @pytest.mark.parametrize("grow", ["scaffold", "reseed"])
 def test_training_survives_growing_in_every_stage(scene, grow):
     """With short windows and low thresholds, anchors come and go in all four stages."""
-    preset = SMOKE._replace(
+    preset = replace(
+        SMOKE,
         grow=grow,
         grow_from=4,
         grow_every=5,

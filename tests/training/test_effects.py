@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import quantise
-from p4dgs_ref.codec.file import encode
+from p4dgs_ref.designs import encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab.effect_ledger import effect_bytes
 from p4dgs_ref.model import Anchors, predict
@@ -104,7 +104,7 @@ def test_the_effects_bytes_are_what_the_file_has_more(name, monkeypatch):
 # --- off equals the neutral input ---
 def random_build(effects, seed):
     """Random parameters in float64 in which every network contributes."""
-    preset = SMOKE._replace(anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
+    preset = replace(SMOKE, anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
     design, rng = design_of(preset, effects), np.random.default_rng(seed)
     p = Parameters(initial_parameters(preset, design, rng).arrays, np.float64)
     p["O_a"][...] = rng.normal(size=p["O_a"].shape) * 0.5
@@ -170,7 +170,7 @@ def test_off_equals_the_neutral_input(name, effect):
     scene = small_scene(name)
     view = scene.train[5 + MODEL_EFFECTS.index(effect)]
     design, p = random_build(listed(scene.effects, effect, False), seed=len(name))
-    full = design._replace(effects=listed(scene.effects, effect, True))
+    full = replace(design, effects=listed(scene.effects, effect, True))
     camera = small_camera(view.camera)
     bar = np.random.default_rng(3).normal(size=(camera.height, camera.width, 3))
     off, ours, g = picture_and_gradients(p, design, view, scene.background, bar)

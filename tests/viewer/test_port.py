@@ -133,7 +133,7 @@ def test_pictures_and_bits_are_those_of_the_package():
         shown = np.reshape(canvas, (*image.shape[:2], 4))[..., :3]
         np.testing.assert_allclose(shown, 255 * image, rtol=0, atol=1)
     np.testing.assert_allclose(said["bits"], anchor_bits(DEMO.read_bytes())[1], rtol=1e-12)
-    coarse = model.design._replace(Q_0=tuple(2 * q for q in model.design.Q_0))
+    coarse = replace(model.design, Q_0=tuple(2 * q for q in model.design.Q_0))
     sizes = components(p4.encode(replace(model, design=coarse)))
     for name in ("features", "scales", "offset_scales", "offsets"):
         assert abs(said["coarse"][name] - sizes[name]) <= 3, name

@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 x_a = np.array([1, 2, 0])
 l_a = np.array([0.5, 0.5, 2])
@@ -13,7 +13,7 @@ l_a = np.array([0.5, 0.5, 2])
 # **01.1** Axis by axis, the position is $1 + 0\cdot 0.5$, $2 + 4\cdot 0.5$ and $0 - 0.5\cdot 2$.
 
 # %%
-lessons.number("01.1", [1, 4, -1], x_a + np.array([0, 4, -0.5]) * l_a)
+lessons.check_number("01.1", [1, 4, -1], x_a + np.array([0, 4, -0.5]) * l_a)
 
 
 # %% [markdown]
@@ -38,8 +38,8 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.forward("01.2", my_forward, "offsets")
-lessons.backward("01.3", my_backward, "offsets")
+lessons.check_forward("01.2", my_forward, "offsets")
+lessons.check_backward("01.3", my_backward, "offsets")
 
 # %% [markdown]
 # **Predict, then run.** Between 512 and 1024, numbers in float16 are 0.5 apart. A child moves if

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import view
-from p4dgs_ref.lab.school import lessons
 
 x_a = np.array([3.0, -1, 7])
 x_c = np.array([1.0, 2, 1])
@@ -16,7 +16,7 @@ x_c = np.array([1.0, 2, 1])
 
 # %%
 (_, direction), _ = view.forward(x_a[None], x_c)
-lessons.number("02.1", 2 / 7 * 0.7, direction[0] @ [0.7, 0, 0])
+lessons.check_number("02.1", 2 / 7 * 0.7, direction[0] @ [0.7, 0, 0])
 
 
 # %% [markdown]
@@ -49,8 +49,8 @@ def my_backward(inputs, cotangents):
     return {"x_a": x_a_bar}
 
 
-lessons.forward("02.2", my_forward, "view")
-lessons.backward("02.3", my_backward, "view")
+lessons.check_forward("02.2", my_forward, "view")
+lessons.check_backward("02.3", my_backward, "view")
 
 # %% [markdown]
 # **Predict, then run.** The largest float16 is 65504, but $300^2 = 90000$. The distance is

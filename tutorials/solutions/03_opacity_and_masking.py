@@ -4,14 +4,14 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import masking
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **03.1** The slope of $\tanh$ is $1 - 0.6^2 = 0.64$, so $\bar\psi = 2\cdot 0.64$.
 
 # %%
-lessons.number("03.1", 2 * (1 - 0.6**2), 1.28)
+lessons.check_number("03.1", 2 * (1 - 0.6**2), 1.28)
 
 
 # %% [markdown]
@@ -34,7 +34,7 @@ def my_opacity(f_a, delta_vc, d_vc, weights, biases):
     return np.tanh(psi)
 
 
-lessons.forward("03.2", my_opacity, "opacity")
+lessons.check_forward("03.2", my_opacity, "opacity")
 
 
 # %% [markdown]
@@ -57,7 +57,7 @@ def my_mlp_backward(inputs, cotangents):
     return {"x": bar, "weights": weights_bar, "biases": biases_bar}
 
 
-lessons.backward("03.3", my_mlp_backward, "mlp")
+lessons.check_backward("03.3", my_mlp_backward, "mlp")
 
 
 # %% [markdown]
@@ -75,7 +75,7 @@ def my_masking_backward(inputs, cotangents):
     return gradients
 
 
-lessons.backward("03.4", my_masking_backward, "masking")
+lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
 # **Predict, then run.** The gradient is zero: a Gaussian that is not in the list has no cotangent,

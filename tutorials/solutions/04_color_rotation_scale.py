@@ -4,9 +4,9 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import anchor_network
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.lab.school import lessons
 
 
 def network(f_a, delta_vc, d_vc, weights, biases, width):
@@ -23,7 +23,7 @@ def network(f_a, delta_vc, d_vc, weights, biases, width):
 raw = np.array([0.0, 3, 0, 4])
 bar = np.array([0, 0, 0, 25])
 unit, norm = normalise(raw)
-lessons.number("04.1", [0, -2.4, 0, 1.8], normalise_backward(unit, norm, bar))
+lessons.check_number("04.1", [0, -2.4, 0, 1.8], normalise_backward(unit, norm, bar))
 
 
 # %% [markdown]
@@ -38,7 +38,7 @@ def my_color(**inputs):
     return np.where(psi >= 0, 1, e) / (1 + e)
 
 
-lessons.forward("04.2", my_color, "color")
+lessons.check_forward("04.2", my_color, "color")
 
 
 # %% [markdown]
@@ -69,8 +69,8 @@ def my_scale_backward(inputs, cotangents):
     return {"s_a": s_a_bar, **backward_of_network(psi_bar)}
 
 
-lessons.backward("04.3", my_rotation_backward, "rotation")
-lessons.backward("04.4", my_scale_backward, "scale")
+lessons.check_backward("04.3", my_rotation_backward, "rotation")
+lessons.check_backward("04.4", my_scale_backward, "scale")
 
 # %% [markdown]
 # **Predict, then run.** NaN. The smallest positive float16 is $6\cdot 10^{-8}$, so $\epsilon$

@@ -4,15 +4,15 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import positional_encoding
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **05.1** At zero every cosine is one and every sine is zero, so $\bar p = 1 + 1 + 2 = 4$.
 
 # %%
 _, saved = positional_encoding.forward(np.zeros((1, 1)), 2)
-lessons.number("05.1", 4, positional_encoding.backward(saved, np.ones((1, 5)))["p"][0, 0])
+lessons.check_number("05.1", 4, positional_encoding.backward(saved, np.ones((1, 5)))["p"][0, 0])
 
 
 # %% [markdown]
@@ -33,7 +33,7 @@ def my_encoding_backward(inputs, cotangents):
     return {"p": p_bar}
 
 
-lessons.backward("05.2", my_encoding_backward, "positional_encoding")
+lessons.check_backward("05.2", my_encoding_backward, "positional_encoding")
 
 
 # %% [markdown]
@@ -60,7 +60,7 @@ def my_deformation(x, t, weights, biases, L_x, L_t):
     return tuple(hidden @ W + b for W, b in layers[-3:])
 
 
-lessons.forward("05.3", my_deformation, "deformation")
+lessons.check_forward("05.3", my_deformation, "deformation")
 
 # %% [markdown]
 # **Predict, then run.** Numbers there are $2^{-11}$ apart, so a time is off by up to $2^{-12}$.

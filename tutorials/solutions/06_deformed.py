@@ -4,9 +4,9 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import deformed
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **06.1** The sum is $(1, 0, 0, 1)$, and dividing by its length gives the real part $1/\sqrt 2$.
@@ -17,7 +17,7 @@ still = np.zeros((1, 3))
 identity = np.array([[1.0, 0, 0, 0]])
 quarter = np.array([[0.0, 0, 0, 1]])
 (_, _, turned), _ = deformed.forward(still, still, identity, still, still, quarter)
-lessons.number("06.1", 90, np.degrees(2 * np.arccos(turned[0, 0])))
+lessons.check_number("06.1", 90, np.degrees(2 * np.arccos(turned[0, 0])))
 
 
 # %% [markdown]
@@ -47,8 +47,8 @@ def my_backward(inputs, cotangents):
     return gradients
 
 
-lessons.forward("06.2", my_deformed, "deformed")
-lessons.backward("06.3", my_backward, "deformed")
+lessons.check_forward("06.2", my_deformed, "deformed")
+lessons.check_backward("06.3", my_backward, "deformed")
 
 # %% [markdown]
 # **Predict, then run.** $r'$ depends on the direction of the sum only and stays. A change of

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import noise, rounding
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **07.1** The quotients are $2.5$, $1.5$, $-3.5$ and $-1.8$. The first three are ties and are
@@ -15,7 +15,7 @@ from p4dgs_ref.lab.school import lessons
 # %%
 four = np.array([[0.625, 0.375, -0.875, -0.45]])
 quarter = np.array([[0.25]])
-lessons.number("07.1", [2, 2, -4, -2], rounding.forward(four, quarter)[0][0][0])
+lessons.check_number("07.1", [2, 2, -4, -2], rounding.forward(four, quarter)[0][0][0])
 
 
 # %% [markdown]
@@ -28,7 +28,7 @@ def my_rounding(f, q):
     return symbols, symbols * q
 
 
-lessons.forward("07.2", my_rounding, "rounding")
+lessons.check_forward("07.2", my_rounding, "rounding")
 
 
 # %% [markdown]
@@ -43,7 +43,7 @@ def my_backward(inputs, cotangents):
     return {"f": f_noisy_bar, "q": q_bar}
 
 
-lessons.backward("07.3", my_backward, "noise")
+lessons.check_backward("07.3", my_backward, "noise")
 
 # %% [markdown]
 # **Predict, then run.** With noise, the mean squared error is $q^2/12$, wherever the numbers are.

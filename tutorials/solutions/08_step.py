@@ -5,15 +5,15 @@
 import numpy as np
 from scipy.special import expit as sigmoid
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, step
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **08.1** From $1 + \tanh u = \frac{1}{2}$ follows $\tanh u = -\frac{1}{2}$. In the sigmoid form,
 # $e^{-2u} = 3$, so $u = -\frac{1}{2}\ln 3$.
 
 # %%
-lessons.number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
+lessons.check_number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 
 # %% [markdown]
@@ -26,7 +26,7 @@ def my_forward(h, weights, biases, Q_0):
     return Q_0 * np.maximum(2 * sigmoid(2 * u), step.SMALLEST)
 
 
-lessons.forward("08.2", my_forward, "step")
+lessons.check_forward("08.2", my_forward, "step")
 
 
 # %% [markdown]
@@ -44,7 +44,7 @@ def my_backward(inputs, cotangents):
     return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
-lessons.backward("08.3", my_backward, "step")
+lessons.check_backward("08.3", my_backward, "step")
 
 # %% [markdown]
 # **Predict, then run.** Just above $-1$, numbers in float16 are $2^{-11} = 0.00049$ apart. At $-4$

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import grid_nodes, hash_grid
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **09.1** The anchor lies at three quarters along $x$ and one quarter along $y$. The weights are
@@ -15,7 +15,7 @@ from p4dgs_ref.lab.school import lessons
 theta = np.array([[0.3], [-1], [2], [1.5]])
 place = np.array([[0.75, 0.25, 0]])
 by_hand, _ = hash_grid.forward(place, np.zeros(3), np.ones(3), [theta], (("xy", 2),))
-lessons.number("09.1", 3 / 16 - 9 / 16 + 1 / 16 + 3 / 16, by_hand[0, 0])
+lessons.check_number("09.1", 3 / 16 - 9 / 16 + 1 / 16 + 3 / 16, by_hand[0, 0])
 
 
 # %% [markdown]
@@ -36,7 +36,7 @@ def my_row(corner, res, table):
     return row.astype(np.int64)
 
 
-lessons.forward("09.2", my_row, "hash_index")
+lessons.check_forward("09.2", my_row, "hash_index")
 
 
 # %% [markdown]
@@ -60,7 +60,7 @@ def my_backward(inputs, cotangents):
     return {"grids": gradients}
 
 
-lessons.backward("09.3", my_backward, "hash_grid")
+lessons.check_backward("09.3", my_backward, "hash_grid")
 
 # %% [markdown]
 # **Predict, then run.** Only signs count, so $h$ stays. But now every $|\theta|$ is above 1, where

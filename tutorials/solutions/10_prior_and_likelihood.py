@@ -7,9 +7,9 @@ import math
 import numpy as np
 from scipy.special import erfcx, log_ndtr
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import likelihood, mlp, prior
-from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.lessons import close
+from p4dgs_ref.lessons import close
 
 # %% [markdown]
 # **10.1** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is
@@ -23,7 +23,7 @@ z, w = np.abs(case["in.z"][near]), case["in.w"][near]
 tail = log_ndtr(-(z - w / 2))
 beyond = log_ndtr(-(z + w / 2))
 answer_1 = tail + np.log1p(-np.exp(beyond - tail))
-lessons.number("10.1", answer_1, case["out.log_p"][near], digits=9)
+lessons.check_number("10.1", answer_1, case["out.log_p"][near], digits=9)
 
 # %% [markdown]
 # With `erfcx`, which the project uses, the factor $e^{-low^2/2}$ goes directly into the logarithm.
@@ -53,7 +53,7 @@ def my_prior_backward(inputs, cotangents):
     return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
 
-lessons.backward("10.2", my_prior_backward, "prior")
+lessons.check_backward("10.2", my_prior_backward, "prior")
 
 
 # %% [markdown]
@@ -81,7 +81,7 @@ def my_likelihood_backward(inputs, cotangents):
     }
 
 
-lessons.backward("10.3", my_likelihood_backward, "likelihood")
+lessons.check_backward("10.3", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
 # **Predict, then run.** Eq. (11) contains only quotients, so the bits stay the same. A change of

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import hash_rate
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **11.1** A sum gives its cotangent to every term. A masked offset is not a term of the sum.
@@ -22,7 +22,7 @@ def my_anchor_backward(inputs, cotangents):
     return gradients
 
 
-lessons.backward("11.1", my_anchor_backward, "anchor_rate")
+lessons.check_backward("11.1", my_anchor_backward, "anchor_rate")
 
 
 # %% [markdown]
@@ -41,7 +41,7 @@ def my_hash_backward(inputs, cotangents):
     return {"grids": [np.where(np.abs(grid) <= 1, slope, 0.0) for grid in grids]}
 
 
-lessons.backward("11.2", my_hash_backward, "hash_rate")
+lessons.check_backward("11.2", my_hash_backward, "hash_rate")
 
 
 # %% [markdown]
@@ -55,7 +55,7 @@ def my_rate(R_anchor, R_hash, n_parameters):
     return bits, L_rate
 
 
-lessons.forward("11.3", my_rate, "rate_loss")
+lessons.check_forward("11.3", my_rate, "rate_loss")
 
 # %% [markdown]
 # **Predict, then run.** $N_+$ and $N_-$ change places. The rate is the same, and its gradient has

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import ssim, window
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **12.1** The loss is $10^{-3}\cdot 2.4 + 0.07$. Its cotangent goes to $\mathcal{L}_{render}$ with
@@ -15,7 +15,7 @@ from p4dgs_ref.lab.school import lessons
 case = lessons.golden("total_loss/ordinary")
 bar = case["out_bar.L_total"]
 names = ("out.L_total", "in_bar.L_render", "in_bar.L_rate")
-lessons.number("12.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names])
+lessons.check_number("12.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names])
 
 
 # %% [markdown]
@@ -31,7 +31,7 @@ def my_forward(image, truth, lambda_ssim):
     return (1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM, L1, D_SSIM
 
 
-lessons.forward("12.2", my_forward, "render_loss")
+lessons.check_forward("12.2", my_forward, "render_loss")
 
 
 # %% [markdown]
@@ -60,7 +60,7 @@ def my_backward(inputs, cotangents):
     return {"image": x_bar.transpose(0, 2, 1)}
 
 
-lessons.backward("12.3", my_backward, "ssim")
+lessons.check_backward("12.3", my_backward, "ssim")
 
 # %% [markdown]
 # **Predict, then run.** L1 is measured in brightness, so it is halved. SSIM compares quotients and

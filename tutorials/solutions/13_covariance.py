@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 from p4dgs_ref.splatting import covariance
 
 # %% [markdown]
@@ -15,7 +15,7 @@ from p4dgs_ref.splatting import covariance
 # %%
 scales = np.array([[1.0, 2, 3]])
 by_hand, _ = covariance.forward(scales, np.full((1, 4), 0.5))
-lessons.number("13.1", np.diag([9, 1, 4]), by_hand[0])
+lessons.check_number("13.1", np.diag([9, 1, 4]), by_hand[0])
 
 
 # %% [markdown]
@@ -63,8 +63,8 @@ def my_backward(inputs, cotangents):
     return {"s": (M_bar * R).sum(axis=1), "r": r_bar}
 
 
-lessons.forward("13.2", my_forward, "covariance")
-lessons.backward("13.3", my_backward, "covariance")
+lessons.check_forward("13.2", my_forward, "covariance")
+lessons.check_backward("13.3", my_backward, "covariance")
 
 # %% [markdown]
 # **Predict, then run.** Both quaternions are the same rotation, so $\Sigma$ stays. $R$ is

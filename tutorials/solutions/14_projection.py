@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 # %% [markdown]
 # **14.1** $J = (80/8, -80\cdot 1/8^2) = (10, -1.25)$, so the variance is
@@ -13,7 +13,7 @@ from p4dgs_ref.lab.school import lessons
 # %%
 J = np.array([80 / 8, -80 / 64])
 variance = J**2 @ [0.04, 0.16] + 0.3
-lessons.number("14.1", 4.55, variance)
+lessons.check_number("14.1", 4.55, variance)
 
 
 # %% [markdown]
@@ -64,7 +64,7 @@ def my_forward(x, Sigma, W, T, focal, center, size):
     return mean2d, cov2d, conic, depth, visible
 
 
-lessons.forward("14.2", my_forward, "projection")
+lessons.check_forward("14.2", my_forward, "projection")
 
 
 # %% [markdown]
@@ -98,7 +98,7 @@ def my_backward(inputs, cotangents):
     return {"x": of_camera @ W, "Sigma": Sigma_bar}
 
 
-lessons.backward("14.3", my_backward, "projection")
+lessons.check_backward("14.3", my_backward, "projection")
 
 # %% [markdown]
 # **Predict, then run.** The mean doubles and the variances grow four times, but the blur stays

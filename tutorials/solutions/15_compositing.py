@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 from p4dgs_ref.splatting import compositing
 
 # %% [markdown]
@@ -26,7 +26,7 @@ layers = dict(
 )
 (white, _), saved = compositing.forward(**layers)
 alpha_bar = compositing.backward(saved, np.array([[[1.0, 0, 0]]]))["alpha"]
-lessons.number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_bar])
+lessons.check_number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_bar])
 
 
 # %% [markdown]
@@ -73,7 +73,7 @@ def my_forward(**given):
     return image.reshape(*shape, 3), T[-1].reshape(shape)
 
 
-lessons.forward("15.2", my_forward, "compositing")
+lessons.check_forward("15.2", my_forward, "compositing")
 
 
 # %% [markdown]
@@ -123,7 +123,7 @@ def my_backward(given, cotangents):
     return bars
 
 
-lessons.backward("15.3", my_backward, "compositing")
+lessons.check_backward("15.3", my_backward, "compositing")
 
 # %% [markdown]
 # **Predict, then run.** The smallest positive float16 is $6\cdot 10^{-8}$, so the product is 0

@@ -4,9 +4,8 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import SETTINGS, Camera
+from p4dgs_ref import SETTINGS, Camera, lessons
 from p4dgs_ref.equations import color, masking, offsets, opacity, rotation, scale, view
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import Anchors, Design, predict
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import render
@@ -59,7 +58,7 @@ anchor = Anchors(
 camera = Camera(np.eye(3), np.array([0.0, 0, 4]), 40.0, 40.0, 16.0, 12.0, 33, 25)
 g = predict(design, networks, anchor, camera.center, 0.0)[0]
 (image, *_), _ = render.forward(*g[:5], camera, np.ones(3), SETTINGS["exact"])
-lessons.number("16.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
+lessons.check_number("16.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
 
 # %% [markdown]
 # **16.2** and **16.3** The forward pass follows the data, and the backward pass goes the opposite
@@ -119,8 +118,8 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.forward("16.2", my_forward, "spatial_prediction")
-lessons.backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
+lessons.check_forward("16.2", my_forward, "spatial_prediction")
+lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
 
 # %% [markdown]
 # **Predict, then run.** Eqs. (2) to (4) depend on the anchor only relative to the camera, so all

@@ -2,11 +2,12 @@
 # # Solutions to the four stages of training
 
 # %%
+from dataclasses import replace
+
 import numpy as np
 
-from p4dgs_ref import PRESETS
+from p4dgs_ref import PRESETS, lessons
 from p4dgs_ref.equations import hash_grid, likelihood
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.model import context
 from p4dgs_ref.oracle import published
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
@@ -20,7 +21,7 @@ from p4dgs_ref.training.trainer import LEARNING_RATES
 # %%
 ends = PRESETS["paper_real"].stage_ends
 assert ends == (3000, 4000, 10000, 20000)
-lessons.number("17.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
+lessons.check_number("17.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
 
 # %% [markdown]
 # **17.2** The anchors and their four networks are trained from the start, $\psi_d$ from stage 3
@@ -34,9 +35,9 @@ late = {
     "psi_q": 4,
     "grid": 4,
 }
-first = [late.get(stem, 1) for stem in LEARNING_RATES if stem not in ("psi_t", "log_step")]
+first = [late.get(stem, 1) for stem in LEARNING_RATES]
 assert PRESETS["paper_real"].lr_x == (0, 0)
-lessons.number("17.2", first, 9 * [1] + [3, 4, 4, 4])
+lessons.check_number("17.2", first, 9 * [1] + [3, 4, 4, 4])
 
 # %% [markdown]
 # **17.3** `L_rate` is `bits` divided by a constant, so the two cotangents can be combined into
@@ -66,7 +67,7 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
+lessons.check_backward("17.3", my_backward, "rate_stage", "noisy", "q")
 
 # %% [markdown]
 # **Predict, then run.** The picture sees the steps through the noise $u\,q$, so $\psi_q$ gets a
@@ -76,7 +77,7 @@ lessons.backward("17.3", my_backward, "rate_stage", "noisy", "q")
 # %%
 given = published.cases("context_stage")[0].inputs()
 design = design_of(PRESETS["tiny"], MODEL_EFFECTS)
-design = design._replace(d=given["d"], k=given["k"], Q_0=tuple(given["Q_0"]))
+design = replace(design, d=given["d"], k=given["k"], Q_0=tuple(given["Q_0"]))
 tables = [len(grid) for grid in given["grids"]]
 located = hash_grid.locate(
     given["x_a"],

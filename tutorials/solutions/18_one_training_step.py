@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import deformation, deformed, render_loss
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.training.parameters import Adam, Parameters
 
 # %% [markdown]
@@ -16,7 +16,7 @@ from p4dgs_ref.training.parameters import Adam, Parameters
 image, truth = np.random.default_rng(18).random((2, 64, 64, 3))
 _, saved = render_loss.forward(image, truth, 0.2)
 image_bar = render_loss.backward(saved, 0.0, L1_bar=0.8)["image"]
-lessons.number("18.1", 0.8 / 12288, np.abs(image_bar).max())
+lessons.check_number("18.1", 0.8 / 12288, np.abs(image_bar).max())
 
 # %% [markdown]
 # **18.2** At the first step, the corrected quotient $m/\sqrt v$ is $g/|g|$, so Adam uses only the
@@ -27,7 +27,7 @@ parameter = Parameters({"w": np.zeros(1)}, np.float64)
 gradient = parameter.zeros()
 gradient["w"][0] = -3e-5
 Adam(parameter).step(parameter, gradient, lambda name: 0.015)
-lessons.number("18.2", 0.015, parameter["w"][0])
+lessons.check_number("18.2", 0.015, parameter["w"][0])
 
 # %% [markdown]
 # **18.3** Because no gradient flows through $\mathcal{E}(x)$, the network needs no backward pass
@@ -50,7 +50,7 @@ def my_backward(inputs, cotangents):
     return deformed.backward(saved, **cotangents)
 
 
-lessons.backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
+lessons.check_backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
 
 # %% [markdown]
 # **Predict, then run.** They do not: Adam divides the mean of the gradients by the root of the

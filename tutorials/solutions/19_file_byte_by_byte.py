@@ -7,16 +7,15 @@ import zlib
 
 import numpy as np
 
-from p4dgs_ref import oracle
+from p4dgs_ref import lessons, oracle
 from p4dgs_ref.codec import container, published
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 
 # %% [markdown]
 # **19.1** The section holds a box of six `float32`, then three `uint16` for each anchor.
 
 # %%
-lessons.number("19.1", 6 * 4 + 400 * 3 * 2, 24 + 6 * 400)
+lessons.check_number("19.1", 6 * 4 + 400 * 3 * 2, 24 + 6 * 400)
 
 
 # %% [markdown]
@@ -71,7 +70,7 @@ good = stored("good")
 bad_frames = [bad for bad in stored("bad") if refuses(container.read_container, bad)]
 read = sum(my_container(whole) == container.read_container(whole) for whole in good)
 refusals = sum(refuses(my_container, bad) for bad in bad_frames)
-lessons.number("19.3", [read, refusals], [len(good), len(bad_frames)])
+lessons.check_number("19.3", [read, refusals], [len(good), len(bad_frames)])
 
 # %% [markdown]
 # **19.2** The box is stored in `float32`, but the arithmetic is done in doubles: divide the
@@ -83,7 +82,7 @@ box = np.array(struct.unpack_from("<6f", body))
 n = np.array(struct.unpack_from("<3H", body, 24 + 6 * 17))
 lo, hi = box[:3], box[3:]
 anchor_17 = lessons.golden("frames/front_000")["in.x_a"][17]
-lessons.number("19.2", lo + n * ((hi - lo) / 65535), anchor_17, digits=15)
+lessons.check_number("19.2", lo + n * ((hi - lo) / 65535), anchor_17, digits=15)
 
 # %% [markdown]
 # **Predict, then run.** No. A checksum that is itself damaged no longer agrees with its bytes, and

@@ -4,10 +4,9 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import oracle
+from p4dgs_ref import lessons, oracle
 from p4dgs_ref.codec import container, streams
 from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.lab.school import lessons
 
 sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes())
 model = quantised_of(sections).model
@@ -17,7 +16,7 @@ model = quantised_of(sections).model
 # $\frac12$ and costs one bit. The final interval is $\frac1{128}$ wide.
 
 # %%
-lessons.number("20.1", 2 + 2 + 2 + 1, 7)
+lessons.check_number("20.1", 2 + 2 + 2 + 1, 7)
 
 
 # %% [markdown]
@@ -48,7 +47,7 @@ mask = model.anchors.mask.ravel()
 p_one = streams.probability_of_one(mask.sum(), mask.size)
 mask_keys = np.array([0, 2**24 - p_one, 2**24])
 mine = np.frombuffer(my_encode(mask.astype(int), mask_keys), np.uint8)
-lessons.number("20.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
+lessons.check_number("20.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
 
 
 # %% [markdown]
@@ -80,7 +79,7 @@ grid = sections["hash_grid"]
 p_plus = int.from_bytes(grid[:4], "little")
 sign_keys = np.array([0, 2**24 - p_plus, 2**24])
 signs = np.concatenate([level.ravel() for level in model.grids]) > 0
-lessons.number("20.3", my_decode(grid[4:], len(signs), sign_keys), signs)
+lessons.check_number("20.3", my_decode(grid[4:], len(signs), sign_keys), signs)
 
 # %% [markdown]
 # **Predict, then run.** The wrong table gives both signs the probability one half, so each of them

@@ -4,10 +4,10 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.codec import container, context, published
-from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref import lessons
+from p4dgs_ref.codec import context, published
+from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.equations import prior
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.oracle import streams
 
 # %% [markdown]
@@ -18,7 +18,7 @@ from p4dgs_ref.oracle import streams
 # %%
 nine = 62 * 7 + 9 - 9
 ten = 62 * 10 + 9 - 0
-lessons.number("21.1", [nine, ten], [434, 629])
+lessons.check_number("21.1", [nine, ten], [434, 629])
 
 
 # %% [markdown]
@@ -43,11 +43,11 @@ stored = {}
 for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
 stream = (published.FOLDER / "full.p4dgs").read_bytes()
-full = quantised_of(container.open_container(stream)).model
+full = quantised_of(stream).model
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
 y = context.run_network(h, layers)
-lessons.number("21.2", my_network(h, layers), y, digits=15)
+lessons.check_number("21.2", my_network(h, layers), y, digits=15)
 
 
 # %% [markdown]
@@ -74,7 +74,7 @@ D = mantissa * stored["q_units"]
 log2_D = np.repeat(context.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 mine = my_sigma_units(raw, log2_D, exponents)
-lessons.number("21.3", mine, stored["sigma_units"], digits=15)
+lessons.check_number("21.3", mine, stored["sigma_units"], digits=15)
 
 # %% [markdown]
 # **Predict, then run.** float32 has 24 bits, so from $2^{24}$ on it skips odd integers. The sums

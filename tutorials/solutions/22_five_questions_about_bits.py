@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.special import ndtr
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **22.1** The density is $1/(\sigma\sqrt{2\pi})$, about $20$. The bin is narrow, so the mass is
@@ -19,7 +19,7 @@ sigma, q = 0.02, 0.001
 density = 1 / (sigma * math.sqrt(2 * math.pi))
 mass = 1 - 2 * ndtr(-q / (2 * sigma))
 want = [19.9471140, ndtr(0.025) - ndtr(-0.025)]
-lessons.number("22.1", [density, mass], want)
+lessons.check_number("22.1", [density, mass], want)
 
 
 # %% [markdown]
@@ -54,7 +54,7 @@ def my_rate(noisy, mu, sigma, q, mask, grids, d, k):
     return {"bits": total, "L_rate": total / noisy.size}
 
 
-lessons.forward("22.2", my_rate, "rate_stage")
+lessons.check_forward("22.2", my_rate, "rate_stage")
 
 
 # %% [markdown]
@@ -78,7 +78,7 @@ def my_rate_backward(inputs, cotangents):
     }
 
 
-lessons.backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
+lessons.check_backward("22.3", my_rate_backward, "rate_stage", "mu", "q")
 
 # %% [markdown]
 # **Predict, then run.** 2048. From there on, numbers in float16 are 2 apart, and $2048 + 1$ is

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from scipy.special import ndtr, roots_legendre
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 # %% [markdown]
 # **23.1** The error must decrease by the factor $10^8$. It decreases as $n^{-4}$, so $n$ must
 # grow by the factor $10^{8/4} = 100$.
 
 # %%
-lessons.number("23.1", 800, 8 * (1e-4 / 1e-12) ** (1 / 4))
+lessons.check_number("23.1", 800, 8 * (1e-4 / 1e-12) ** (1 / 4))
 
 # %% [markdown]
 # **23.2** Four rows are accurate enough. Two of them take the same time, 36, and of these two,
@@ -35,7 +35,7 @@ choices = np.array(
 good = np.flatnonzero(choices[:, 1] <= 1e-6)
 best = min(good, key=lambda i: tuple(choices[i]))
 assert len(good) == 4
-lessons.number("23.2", 2, best)
+lessons.check_number("23.2", 2, best)
 
 
 # %% [markdown]
@@ -88,7 +88,7 @@ def my_bin(z, w):
     return log_p, slope_z, slope_w
 
 
-lessons.forward("23.3", my_bin, "gaussian_bin")
+lessons.check_forward("23.3", my_bin, "gaussian_bin")
 
 # %% [markdown]
 # **Predict, then run.** From two steps on. The error of the formula at two steps is

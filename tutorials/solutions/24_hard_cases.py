@@ -5,14 +5,14 @@
 import numpy as np
 from scipy.special import expit
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 # %% [markdown]
 # **24.1** We have $1 + \tanh u = 2/(1 + e^{-2u})$. For $u = -19$ this is $2e^{-38}$, up to a term
 # smaller than $2e^{-76}$.
 
 # %%
-lessons.number("24.1", 2 * np.exp(-38.0), 2 * expit(-38.0))
+lessons.check_number("24.1", 2 * np.exp(-38.0), 2 * expit(-38.0))
 
 
 # %% [markdown]
@@ -32,7 +32,7 @@ def my_hash_rate(grids):
     return R_hash, n_pos, n_neg
 
 
-lessons.forward("24.2", my_hash_rate, "hash_rate")
+lessons.check_forward("24.2", my_hash_rate, "hash_rate")
 
 
 # %% [markdown]
@@ -55,7 +55,7 @@ def my_quaternion_backward(inputs, cotangents):
     return {"y": y_bar.reshape(inputs["y"].shape)}
 
 
-lessons.backward("24.3", my_quaternion_backward, "unit_quaternion")
+lessons.check_backward("24.3", my_quaternion_backward, "unit_quaternion")
 
 # %% [markdown]
 # **Predict, then run.** Zero. A better formula keeps digits, but $6\cdot 10^{-17}$ lies below the

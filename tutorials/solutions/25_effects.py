@@ -5,8 +5,8 @@
 import numpy as np
 from scipy.special import expit
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp
-from p4dgs_ref.lab.school import lessons
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
@@ -24,7 +24,7 @@ def parameters_of_psi_d(effects):
 
 without_rotation = [effect for effect in MODEL_EFFECTS if effect != "rotation"]
 fewer = parameters_of_psi_d(MODEL_EFFECTS) - parameters_of_psi_d(without_rotation)
-lessons.number("25.1", 192 * 4 + 4, fewer)
+lessons.check_number("25.1", 192 * 4 + 4, fewer)
 
 
 # %% [markdown]
@@ -59,7 +59,7 @@ def my_motion(x, s, r, t, L_x, L_t, psi_d_weights, psi_d_biases):
     return x_t, s_t, r_t
 
 
-lessons.forward("25.2", my_motion, "temporal_prediction")
+lessons.check_forward("25.2", my_motion, "temporal_prediction")
 
 
 # %% [markdown]
@@ -86,7 +86,7 @@ def my_color_backward(inputs, cotangents):
     return gradients
 
 
-lessons.backward("25.3", my_color_backward, "color")
+lessons.check_backward("25.3", my_color_backward, "color")
 
 # %% [markdown]
 # **Predict, then run.** None: without motion there is no $\psi_d$, in memory or in the file. The

@@ -4,8 +4,8 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, positional_encoding
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **26.1** Intra takes $30\cdot 5000\cdot 8$ bits in each second. The inter file takes
@@ -14,7 +14,7 @@ from p4dgs_ref.lab.school import lessons
 # %%
 intra = 30 * 5000 * 8 / 1000
 inter = 10_000 * 8 / 1000 / 2
-lessons.number("26.1", [1200, 40], [intra, inter])
+lessons.check_number("26.1", [1200, 40], [intra, inter])
 
 # %% [markdown]
 # **26.2** Shift the whole reference by each candidate and sum the errors of each block; this
@@ -36,7 +36,7 @@ for v in candidates:
     difference = np.abs(np.roll(reference, v) - frame)
     errors.append(difference.reshape(8, 8).sum(axis=1))
 best = np.argmin(errors, axis=0)
-lessons.number("26.2", candidates[best], vectors)
+lessons.check_number("26.2", candidates[best], vectors)
 
 
 # %% [markdown]
@@ -76,7 +76,7 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.backward("26.3", my_backward, "deformation")
+lessons.check_backward("26.3", my_backward, "deformation")
 
 # %% [markdown]
 # **Predict, then run.** One more, $L_t + 1$. The old time $t$ is $2t'$ in the new unit, and

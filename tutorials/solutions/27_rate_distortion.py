@@ -4,7 +4,7 @@
 # %%
 import numpy as np
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 
 # %% [markdown]
 # **27.1** From $6\lambda + 0.01 = 3\lambda + 0.05$, the price is the reduction of the error
@@ -14,7 +14,7 @@ from p4dgs_ref.lab.school import lessons
 # %%
 price = (0.05 - 0.01) / (6 - 3)
 assert np.isclose(6 * price + 0.01, 3 * price + 0.05)
-lessons.number("27.1", price, 0.04 / 3)
+lessons.check_number("27.1", price, 0.04 / 3)
 
 
 # %% [markdown]
@@ -30,7 +30,7 @@ def best_step(w):
 steps = np.linspace(0.06, 0.07, 100_001)
 cost = 2 * steps**2 / 12 - 0.001 * np.log2(steps)
 assert np.isclose(steps[cost.argmin()], best_step(2), rtol=1e-5)
-lessons.number("27.2", best_step(2), best_step(8) * 2)
+lessons.check_number("27.2", best_step(2), best_step(8) * 2)
 
 
 # %% [markdown]
@@ -47,7 +47,7 @@ def my_backward(inputs, cotangents):
     return {"R_anchor": np.asarray(bar), "R_hash": np.asarray(bar)}
 
 
-lessons.backward("27.3", my_backward, "rate_loss")
+lessons.check_backward("27.3", my_backward, "rate_loss")
 
 # %% [markdown]
 # **Predict, then run.** The step is proportional to $\sqrt\lambda$, so it doubles. A number then

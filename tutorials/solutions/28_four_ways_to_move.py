@@ -4,9 +4,9 @@
 # %%
 import numpy as np
 
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import positional_encoding
 from p4dgs_ref.lab.baselines import conditional, marginal, plane_features
-from p4dgs_ref.lab.school import lessons
 
 # %% [markdown]
 # **28.1** A player of D3DGS needs the Gaussians and the network. The normals are counted because
@@ -16,7 +16,7 @@ from p4dgs_ref.lab.school import lessons
 # %%
 d3dgs = (50_000 * 62 + 522_280) * 4 / 1e6
 gaussian4d = 90_000 * 644 / 1e6
-lessons.number("28.1", [d3dgs, gaussian4d], [12.4 + 2.08912, 57.96])
+lessons.check_number("28.1", [d3dgs, gaussian4d], [12.4 + 2.08912, 57.96])
 
 # %% [markdown]
 # **28.2** The velocity is $b/v = 0.75$, so the Gaussian moves by $0.15$. Its variance is
@@ -37,7 +37,7 @@ mu_t = np.array([0.5])
 (x_t, Sigma_t, var_t), _ = conditional.forward(x, mu_t, s, R, 0.7)
 (_, weight), _ = marginal.forward(np.ones(1), mu_t, var_t, 0.7)
 by_equations = [x_t[0, 0], Sigma_t[0, 0, 0], weight[0]]
-lessons.number("28.2", [moved, variance, faded], by_equations)
+lessons.check_number("28.2", [moved, variance, faded], by_equations)
 
 # %% [markdown]
 # **28.3** The nodes are at 0, 0.25, 0.5, 0.75 and 1. The picture at 0.1 reads the first two nodes
@@ -59,7 +59,7 @@ for t, x_bar in ((0.1, 1), (0.3, -2), (0.6, 5)):
     features_bar = np.array([[float(x_bar)]])
     bars = plane_features.backward(saved, features_bar)["planes"]
     p_bar += bars[5].sum(axis=(0, 2))
-lessons.number("28.3", by_hand, p_bar)
+lessons.check_number("28.3", by_hand, p_bar)
 
 # %% [markdown]
 # **Predict, then run.** The network continues along some curve, because its sines continue, but no

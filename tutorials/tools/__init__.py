@@ -1,5 +1,8 @@
-"""What makes the pages, pictures and notebooks of the tutorials."""
+"""What makes the pages, pictures and notebooks of the tutorials, and what tutorials draw with."""
+
+import sys
 
 import p4dgs_ref
 
-p4dgs_ref.prepare()  # before NumPy loads: the same numbers everywhere
+if "numpy" not in sys.modules:  # as in a tutorial, which imports what it draws with later
+    p4dgs_ref.prepare()  # the same numbers everywhere

@@ -44,8 +44,8 @@ def truth(description, camera, t, background):
 def palette(pictures, background):
     """The background and PICTURE_COLORS colours [M, 3] that stand for those of all pictures."""
     colors = np.unique(np.rint(np.concatenate(pictures).reshape(-1, 3) * 255), axis=0)
-    chosen = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
-    return np.concatenate([[background], np.rint(chosen) / 255])
+    centres = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
+    return np.concatenate([[background], np.rint(centres) / 255])
 
 
 def with_palette(picture, colors):
@@ -57,10 +57,10 @@ def with_palette(picture, colors):
 def frame(true, decoded, t, colors):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(decoded - true).mean(axis=2)
-    psnr = evaluate.decibel(evaluate.squared_error(decoded, true))
+    quality = evaluate.psnr(decoded, true)
     panels = (
         (f"truth, t = {t:.2f}", with_palette(true, colors)),
-        (f"decoded, PSNR {psnr:.1f} dB", with_palette(decoded, colors)),
+        (f"decoded, PSNR {quality:.1f} dB", with_palette(decoded, colors)),
         (f"absolute error, mean {error.mean():.3f}", error_colors(error)),
     )
     side = ZOOM * true.shape[1]
@@ -74,10 +74,10 @@ def frame(true, decoded, t, colors):
         left = GAP + i * (side + GAP)
         figure.figimage(picture.repeat(ZOOM, 0).repeat(ZOOM, 1), left, FOOT, origin="upper")
         write(title, left + side / 2, height - HEAD / 2, "center")
-    ramp = error_colors(np.tile(np.linspace(0, figures.LARGEST_ERROR, side // 2), (12, 1)))
+    ramp = error_colors(np.tile(np.linspace(0, figures.ERROR_RANGE, side // 2), (12, 1)))
     figure.figimage(ramp, left + side // 4, FOOT // 2 - 6, origin="upper")
     write("0 ", left + side // 4, FOOT / 2, "right")
-    write(f" ≥ {figures.LARGEST_ERROR}", left + 3 * side // 4, FOOT / 2, "left")
+    write(f" ≥ {figures.ERROR_RANGE}", left + 3 * side // 4, FOOT / 2, "left")
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
     figures.pyplot().close(figure)
@@ -87,13 +87,13 @@ def frame(true, decoded, t, colors):
 
 
 def error_colors(error):
-    """The colours of errors [H, W] from 0 to figures.LARGEST_ERROR, in ERROR_COLORS steps."""
-    return figures.pyplot().get_cmap("magma", ERROR_COLORS)(error / figures.LARGEST_ERROR)[..., :3]
+    """The colours of errors [H, W] from 0 to figures.ERROR_RANGE, in ERROR_COLORS steps."""
+    return figures.pyplot().get_cmap("magma", ERROR_COLORS)(error / figures.ERROR_RANGE)[..., :3]
 
 
-def draw(path, model, name="bouncing"):
+def write_animation(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
-    description = simulator.describe(load.find_scene(name) / load.DESCRIPTION)
+    description = simulator.read_description(load.find_scene(name) / load.DESCRIPTION)
     shown = [
         (truth(description, camera, t, model.background), np.clip(model.render(camera, t), 0, 1), t)
         for camera, t in views(description)

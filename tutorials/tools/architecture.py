@@ -1,7 +1,7 @@
 """One drawing of P-4DGS: from anchors to the picture, and from anchors to the bits of the file.
 
-    figure = architecture.draw()  # everything lit
-    figure = architecture.draw(("step", "prior"))  # two equations lit, the others grey
+    figure = architecture.draw_method()  # everything lit
+    figure = architecture.draw_method(("step", "prior"))  # two equations lit, the others grey
 
 Positions are literal, in hundredths of the drawing's width.
 """
@@ -12,8 +12,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path
 
-from p4dgs_ref.lab.school import lessons
-from p4dgs_ref.lab.school.syllabus import TUTORIALS
+from p4dgs_ref import lessons
+from p4dgs_ref.lessons import TUTORIALS
 
 BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = lessons.COLORS
 INK, DARK, GREY, WHITE = "#1a1a1a", "#606060", "#9a9a9a", "#ffffff"
@@ -182,15 +182,54 @@ ARROWS = (
     Arrow(((71, 4.5), (75.5, 4.5)), "$p$", (73.2, 5.7)),
     Arrow(((89, 4.5), (92, 4.5))),
 )
+# Of the tutorials that explain no equation of their own; all boxes are lit where there are none.
+LIT = {
+    "17_four_stages": (
+        "deformation",
+        "deformed",
+        "noise",
+        "step",
+        "hash_grid",
+        "prior",
+        "likelihood",
+        "rate_loss",
+        "total_loss",
+    ),
+    "18_one_training_step": ("noise", "render_loss", "rate_loss", "total_loss"),
+    "19_file_byte_by_byte": ("rounding", "entropy_coder", "file"),
+    "20_intervals_to_rans": ("likelihood", "entropy_coder", "file"),
+    "21_desync": ("hash_grid", "prior", "entropy_coder"),
+    "22_five_questions_about_bits": (
+        "noise",
+        "rounding",
+        "step",
+        "likelihood",
+        "anchor_rate",
+        "hash_rate",
+    ),
+    "23_accuracy_versus_time": ("compositing", "likelihood"),
+    "24_hard_cases": ("step", "likelihood", "hash_rate", "ssim", "projection", "compositing"),
+    "25_effects": ("view", "color", "deformation", "deformed", "compositing"),
+    "27_rate_distortion": ("total_loss", "rate_loss", "file"),
+    "28_four_ways_to_move": ("offsets", "deformation", "deformed", "file"),
+    "29_porting_in_an_afternoon": (
+        "rounding",
+        "hash_grid",
+        "projection",
+        "compositing",
+        "entropy_coder",
+        "file",
+    ),
+}
 
 
 def show(name):
-    """Show the drawing of a tutorial, and save it as out/NUMBER_map.png."""
-    tutorial = next(tutorial for tutorial in TUTORIALS if tutorial.name == name)
-    lessons.show(draw(tutorial.lit or tutorial.keys), f"{name[:2]}_map")
+    """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png."""
+    keys = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
+    lessons.show(draw_method(keys or LIT.get(name, ())), f"{name[:2]}_map")
 
 
-def draw(lit=(), dpi=100):
+def draw_method(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
     figure = lessons.pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
     paint(figure.add_axes((0, 0, 1, 1)), lit)
@@ -199,7 +238,7 @@ def draw(lit=(), dpi=100):
 
 def save(path):
     """Write the drawing as a PNG, without matplotlib's version in it."""
-    draw(dpi=150).savefig(path, metadata={"Software": None})
+    draw_method(dpi=150).savefig(path, metadata={"Software": None})
 
 
 def paint(axes, lit=()):

@@ -10,14 +10,14 @@ import json
 from collections import namedtuple
 from pathlib import Path
 
-from p4dgs_ref.codec.file import decode
+from p4dgs_ref import output
+from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import stability
 from p4dgs_ref.lab.accuracy import diagram, forms, report
-from p4dgs_ref.lab.school import show
 from p4dgs_ref.lab.tables import curve
 from p4dgs_ref.report import figures, jobs
-from p4dgs_ref.scenes import load_scene, output
-from tutorials.tools import animation, architecture, handout, records, tour
+from p4dgs_ref.scenes import load_scene
+from tutorials.tools import animation, architecture, handout, records, show, tour
 from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
@@ -112,7 +112,7 @@ PICTURES = {
 
 DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
-    "curve.png": (curve.draw,),
+    "curve.png": (curve.draw_curves,),
     "demo.png": (figures.write_comparison,),
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
@@ -139,9 +139,9 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as beside:
+    with output.filled(pictures) as staging:
         for name in renewed:
-            (beside / name).write_bytes(figures[name].read_bytes())
+            (staging / name).write_bytes(figures[name].read_bytes())
     return renewed
 
 
@@ -154,8 +154,8 @@ def code_hash(name):
         text = "".join(inspect.getsource(source) for source in DRAW[name])
     else:
         figure = Path(PICTURES[name].figure)
-        own = FOLDER / f"{figure.stem}.py"
-        (file,) = [own] if own.is_file() else FOLDER.glob(f"{figure.stem[:2]}_*.py")
+        same_name = FOLDER / f"{figure.stem}.py"
+        (file,) = [same_name] if same_name.is_file() else FOLDER.glob(f"{figure.stem[:2]}_*.py")
         text = file.read_text(encoding="utf-8").split("# ## Exercises")[0]
     code = (line.rstrip() for line in text.splitlines() if line.strip() and line[0] != "#")
     return hashlib.sha256("\n".join(code).encode()).hexdigest()[:16]
@@ -176,7 +176,7 @@ def stale():
 def draw_demo(out):
     """Run the demo, and leave its pictures and the animation of its file in the folder `out`."""
     jobs.main_job(load_scene("bouncing"), folder=out)
-    animation.draw(
+    animation.write_animation(
         Path(out) / PICTURES["demo.gif"].figure,
         decode((Path(out) / "bouncing.p4dgs").read_bytes()),
     )
@@ -185,12 +185,12 @@ def draw_demo(out):
 def draw_curve(out):
     """Draw the record of the curve into the folder `out`."""
     points, curves, title = curve.read(records.rows("curve"))
-    curve.draw(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
+    curve.draw_curves(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
 
 
 def draw_tour(_):
     """Draw the paper in ten pictures, which have a folder of their own."""
-    tour.draw()
+    tour.draw_pictures()
     record([TOUR])
 
 

@@ -9,8 +9,8 @@ import re
 from collections import namedtuple
 
 from p4dgs_ref.table import EQUATIONS
-from tests.equations import shape_comments
-from tutorials.tools.shared import table
+from tests.golden import shape_comments
+from tutorials.tools.shared import markdown_table
 
 UNITS = (
     "scene units",
@@ -174,19 +174,19 @@ Mention = namedtuple("Mention", "key computed shapes comment")
 
 def mentions():
     """{name: its Mentions in the order of the table}; networks have the names of their comments."""
-    found = {}
+    named = {}
     for key, equation in EQUATIONS.items():
         computed = shape_comments.outputs(equation.forward, equation.outputs)
         for name, spec in computed.items():
             if (key, name) not in LEFT_OUT:
-                found.setdefault(name, []).append(Mention(key, True, written(spec), ""))
+                named.setdefault(name, []).append(Mention(key, True, written(spec), ""))
         for name, comment in shape_comments.comments(equation.forward).items():
             spec = shape_comments.parsed(comment)
             if spec.network:
                 name = comment.split(",")[0]
             if not {name, (key, name)} & LEFT_OUT:
-                found.setdefault(name, []).append(Mention(key, False, written(spec), comment))
-    return {name: rows for name, rows in found.items() if name != "psi"}
+                named.setdefault(name, []).append(Mention(key, False, written(spec), comment))
+    return {name: rows for name, rows in named.items() if name != "psi"}
 
 
 def written(spec):
@@ -201,9 +201,9 @@ def written(spec):
 
 def meaning(comment):
     """What a comment says, without shape, unit, choices and additions after a semicolon."""
-    said = re.sub(r"^(list of )?\[[^]]*\](, one a level:)?", "", comment)
-    said = re.sub(rf" ?\(({'|'.join(UNITS)}|Q\d+)(;[^)]*)?\)", "", said).split(";")[0]
-    return re.sub(r", converted to .*|, > 0", "", said).strip()
+    text = re.sub(r"^(list of )?\[[^]]*\](, one a level:)?", "", comment)
+    text = re.sub(rf" ?\(({'|'.join(UNITS)}|Q\d+)(;[^)]*)?\)", "", text).split(";")[0]
+    return re.sub(r", converted to .*|, > 0", "", text).strip()
 
 
 def row(symbol, places):
@@ -234,8 +234,8 @@ def links(places):
 
 def glossary():
     """The text of glossary.md."""
-    found, text = mentions(), INTRODUCTION
+    named, text = mentions(), INTRODUCTION
     for title, symbols in SECTIONS.items():
-        rows = [row(symbol, found[symbol.name]) for symbol in symbols]
-        text += f"\n## {title}\n\n{table(HEADS, rows)}\n"
-    return f"{text}\n## Axes\n\n{table(('letter', 'counts'), AXES.items())}\n"
+        rows = [row(symbol, named[symbol.name]) for symbol in symbols]
+        text += f"\n## {title}\n\n{markdown_table(HEADS, rows)}\n"
+    return f"{text}\n## Axes\n\n{markdown_table(('letter', 'counts'), AXES.items())}\n"

@@ -1,14 +1,14 @@
 """The handout: the drawing and the 17 equations with their gradients on one page of paper.
 
-`python -m tutorials.tools.syllabus` writes it to tutorials/handout.pdf. A test compares each
-gradient printed here with the `backward` in the code.
+`python -m tutorials.tools.syllabus` writes it to tutorials/handout.pdf. The gradients are those of
+the `backward` functions; a test notices where one of them is edited.
 """
 
 from collections import namedtuple
 
 from matplotlib.patches import Rectangle
 
-from p4dgs_ref.lab.school import lessons
+from p4dgs_ref import lessons
 from tutorials.tools import architecture
 
 PAGE = (8.27, 11.69)  # inches: A4
@@ -189,7 +189,7 @@ LEGEND = (
 UNDATED = dict.fromkeys(("Creator", "Producer", "CreationDate"))  # so that equal pages are equal
 
 
-def draw():
+def draw_page():
     """Return the page as a figure."""
     figure = lessons.pyplot().figure(figsize=PAGE, dpi=150)
     height = DRAWING * architecture.HEIGHT / architecture.WIDTH
@@ -222,4 +222,4 @@ def write(figure, x, y, text, size=8.2, **style):
 
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
-    draw().savefig(path, metadata={"Title": TITLE, **UNDATED})
+    draw_page().savefig(path, metadata={"Title": TITLE, **UNDATED})

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.scenes.output import made
+from p4dgs_ref.output import made
 from tutorials.tools.shared import FOLDER, run, write_text
 
 DPI = 100  # of the figures: most are 800 pixels wide
@@ -65,13 +65,13 @@ class Cell(NamedTuple):
 
 def cells(text):
     """Return the cells of a percent file."""
-    found = []
+    parts = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith(CODE):
-            found.append(Cell(number, line.strip() == PROSE, []))
-        elif found:
-            found[-1].lines.append(line)
-    return found
+            parts.append(Cell(number, line.strip() == PROSE, []))
+        elif parts:
+            parts[-1].lines.append(line)
+    return parts
 
 
 def tutorials(folder):
@@ -101,10 +101,10 @@ def unrun(source):
                     outputs=[],
                 )
             )
-    own = hashlib.sha256(source.read_bytes()).hexdigest()
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
     return {
         "cells": parts,
-        "metadata": {**METADATA, "p4dgs_ref": {"source_sha256": own}},
+        "metadata": {**METADATA, "p4dgs_ref": {"source_sha256": digest}},
         "nbformat": 4,
         "nbformat_minor": 5,
     }

@@ -12,10 +12,10 @@ import csv
 import sys
 
 from p4dgs_ref.lab.tables import ablate, curve, methods
-from p4dgs_ref.lab.tables.methods import CODED, OURS, OWN
+from p4dgs_ref.lab.tables.methods import CODED, OUR_PRESETS, OURS
+from p4dgs_ref.output import filled
 from p4dgs_ref.report.figures import write_csv
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.output import filled
 from tutorials.tools.shared import FOLDER
 
 SCENES = ("bouncing", "figure", "glossy")
@@ -37,8 +37,8 @@ PLANS = {  # {record: the Tasks of its rows, in their order, for scenes and a fo
         task for scene in scenes[:2] for task in ablate.plan(scene, folder)
     ],
     "beyond_networks": lambda scenes, folder: sorted(
-        methods.plan(PAIRS, OWN, scenes, folder)
-        + methods.plan(SWEEP, OWN, scenes[:1], folder, seeds=1),
+        methods.plan(PAIRS, OUR_PRESETS, scenes, folder)
+        + methods.plan(SWEEP, OUR_PRESETS, scenes[:1], folder, seeds=1),
         key=lambda task: (task.method, task.scene.name, task.seed),
     ),
 }
@@ -54,7 +54,7 @@ def rows(name):
     with open(FOLDER / "records" / f"{name}.csv", newline="", encoding="utf-8") as file:
         return [
             {
-                column: text if column == "sha256" else number(text)
+                column: text if column == "sha256" else as_number(text)
                 for column, text in row.items()
                 if text
             }
@@ -62,7 +62,7 @@ def rows(name):
         ]
 
 
-def number(text):
+def as_number(text):
     """The number that a text stands for, otherwise the text itself."""
     for kind in (int, float):
         try:
@@ -79,8 +79,8 @@ def main(name, jobs):
     missing = [task for task in every if task.path.name not in kept]
     methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
     kept |= {row["file"]: row for row in methods.made(missing)}
-    with filled(FOLDER / "records") as beside:
-        write_csv(beside / f"{name}.csv", [kept[task.path.name] for task in every])
+    with filled(FOLDER / "records") as staging:
+        write_csv(staging / f"{name}.csv", [kept[task.path.name] for task in every])
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from p4dgs_ref.scenes.output import write_atomically
+from p4dgs_ref.output import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
@@ -30,8 +30,8 @@ def run(name, arguments, out):
         encoding="utf-8",
     )
     if done.returncode:
-        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-        sys.exit(f"{name}, {said[-1]}")
+        lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        sys.exit(f"{name}, {lines[-1]}")
 
 
 def write_text(path, text):
@@ -39,7 +39,7 @@ def write_text(path, text):
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def table(heads, rows):
+def markdown_table(heads, rows):
     """Return a table as Markdown."""
     lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])

@@ -18,7 +18,7 @@ from collections import namedtuple
 from functools import cache
 from pathlib import Path
 
-from p4dgs_ref.lab.school.syllabus import TUTORIALS, tutorial_of
+from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.table import EQUATIONS
 from tutorials.tools import architecture, gallery, glossary, handout, shared
@@ -44,22 +44,22 @@ def facts(tutorial, folder=FOLDER):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
     source = (Path(folder) / f"{tutorial.name}.py").read_text(encoding="utf-8")
     title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
-    head = " ".join(
+    first_cell = " ".join(
         line.lstrip("# ").strip() for line in source.split("\n# %%", 1)[0].splitlines()[2:]
     )
-    said = re.search(
+    head = re.search(
         r"\*\*Before it:\*\*(.*?)\*\*Takes\*\*.*? two cores, "
         r"(\d+) minutes of reading and (\d+) of exercises\.",
-        head,
+        first_cell,
     )
-    if not title or not said:
+    if not title or not head:
         raise ValueError(
             f"{tutorial.name}.py: expected a title, then "
             "**Before it:** ... **Takes** ... on two cores, "
             "... minutes of reading and ... of exercises."
         )
     asked = exercises(source, tutorial.keys)
-    return Facts(title[1], prerequisites(said[1]), int(said[2]), int(said[3]), asked)
+    return Facts(title[1], prerequisites(head[1]), int(head[2]), int(head[3]), asked)
 
 
 def minutes(name, folder=FOLDER):
@@ -106,13 +106,13 @@ def exercises(source, keys):
     An exercise whose check names none of the tutorial's equations is about all of them.
     """
     calls = re.findall(r'lessons\.(\w+)\(\s*"(\d\d\.\d)",([^\n]*(?:\n    [^\n]*)*)', source)
-    found = {}
-    for check, exercise, given in calls:
-        words = set(re.findall(r"\w+", given))
-        if check != "number":
+    keys_of = {}
+    for check, exercise, arguments in calls:
+        words = set(re.findall(r"\w+", arguments))
+        if check != "check_number":
             words = {subjects()[word]["equation"] for word in words & set(subjects())}
-        found[exercise] = tuple(key for key in keys if key in words) or keys
-    return dict(sorted(found.items()))
+        keys_of[exercise] = tuple(key for key in keys if key in words) or keys
+    return dict(sorted(keys_of.items()))
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -131,12 +131,12 @@ def equations_table(folder=FOLDER):
         )
         for key, file in files.items()
     ]
-    return shared.table(("no.", "key", "file", "vectors", "tutorial", "exercises"), rows)
+    return shared.markdown_table(("no.", "key", "file", "vectors", "tutorial", "exercises"), rows)
 
 
 def path_table(folder=FOLDER):
     """A Markdown table of the path of four hours."""
-    return shared.table(
+    return shared.markdown_table(
         ("tutorial", "what it is about", "minutes"),
         [
             (both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0]))
@@ -166,7 +166,7 @@ def order_table(seconds, folder=FOLDER):
                 f"{reading} + {doing}",
             )
         )
-    return shared.table(
+    return shared.markdown_table(
         ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes"), rows
     )
 
@@ -219,18 +219,18 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
 }
 
 
-def main(chosen):
-    """Run what is chosen (everything if nothing is), renew its pictures, and write the index."""
+def main(words):
+    """Run what the words name, or everything, renew its pictures, and write the index."""
     names = {tutorial.name[:2]: tutorial.name for tutorial in TUTORIALS}
-    unknown = sorted(set(chosen) - {*names, *MADE, "index"})
+    unknown = sorted(set(words) - {*names, *MADE, "index"})
     if unknown:
         sys.exit(f"{' '.join(unknown)}: expected numbers of tutorials, index, {', '.join(MADE)}")
     seconds = measured_before()
     with tempfile.TemporaryDirectory() as out:
-        for number in [number for number in names if not chosen or number in chosen]:
+        for number in [number for number in names if not words or number in words]:
             seconds[number] = run(names[number], out)
             print(f"{names[number]}: {seconds[number]:.1f} s", flush=True)
-        for make in [make for word, make in MADE.items() if not chosen or word in chosen]:
+        for make in [make for word, make in MADE.items() if not words or word in words]:
             make(out)
         gallery.record(gallery.take(out, FOLDER / "pictures"))
     architecture.save(FOLDER / "pictures" / gallery.DRAWING)

@@ -6,27 +6,28 @@ picture anew, which takes a few minutes; their files lie beside the pictures, so
 train in order to draw.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import imageio.v3 as iio
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
 
-from p4dgs_ref.codec import container, file, quantise, rans
-from p4dgs_ref.lab.school import lessons, show
+from p4dgs_ref import designs, lessons, model, output
+from p4dgs_ref.beyond import file
+from p4dgs_ref.codec import quantise, rans
 from p4dgs_ref.report import evaluate, inspect
-from p4dgs_ref.scenes import load, output, simulator
-from p4dgs_ref.training import presets, trainer
-from tutorials.tools import animation, handout, shared
+from p4dgs_ref.scenes import load, simulator
+from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
-SCENE = simulator.describe(load.find_scene("bouncing") / load.DESCRIPTION)
+SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
 WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in range(361)}
 CAMERA, T = WALK[305], 0.3  # which all pictures show
 VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
 DATA = (shared.FOLDER / "demo.p4dgs").read_bytes()
-FILE = file.quantised_of(container.read_container(DATA), DATA[8])
+PRESET = designs.PRESETS["tiny_coded"]
+FILE = designs.quantised_of(DATA)
 MODEL, DESIGN = FILE.model, FILE.model.design
 TRUTH = animation.truth(SCENE, CAMERA, T, MODEL.background)
 
@@ -66,7 +67,7 @@ class Silent(np.random.Generator):
 FAILURES = {  # title: generator of training, and what of the demo's preset changes
     "no noise": (Silent, {}),
     "no rate": (np.random.Generator, {"lambda_rate": 0.0}),
-    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * presets.TINY_CODED.lambda_rate}),
+    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * PRESET.lambda_rate}),
     "one frequency in time": (np.random.Generator, {"L_t": 1}),
 }
 
@@ -74,9 +75,10 @@ FAILURES = {  # title: generator of training, and what of the demo's preset chan
 def train():
     """Train the failures and write their files."""
     for title, (generator, changes) in FAILURES.items():
-        run = trainer.Trainer(load.load_scene("bouncing"), presets.TINY_CODED._replace(**changes))
+        preset = replace(PRESET, **changes)
+        run = designs.trainer_of(load.load_scene("bouncing"), preset)
         run.rng = generator(run.rng.bit_generator)
-        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(file.encode(run.run()))
+        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(designs.encode(run.run()))
 
 
 # --- the pictures that are not in `show` ----------------------------------------------------------
@@ -118,42 +120,44 @@ def why(figure):
 def parts(figure):
     """The file as a strip, section by section, in the paper's design and with coded networks."""
     ax = figure.subplots()
-    plain = replace(MODEL, design=DESIGN._replace(coded=False, position_bits=16), steps=None)
-    paper, own = (inspect.components(data) for data in (file.encode(plain), DATA))
+    design = model.Design(**{row.name: vars(DESIGN)[row.name] for row in fields(model.Design)})
+    numbers = {row.name: vars(MODEL)[row.name] for row in fields(model.Model)}
+    plain = designs.encode(model.Model(**{**numbers, "design": design}))
+    paper, coded = inspect.components(plain), inspect.components(DATA)
     zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
     labels = {  # of narrow parts above the strip, of the others below it
-        name: (1.45 if own[name] < 400 else -0.2, f"{own[name]:,}\n{label}")
+        name: (1.45 if coded[name] < 400 else -0.2, f"{coded[name]:,}\n{label}")
         for name, (label, _) in SECTIONS.items()
     }
-    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, own, "coded networks")):
+    for y, sizes, title in ((4, paper, "the paper's design"), (2.4, coded, "coded networks")):
         networks = sum(size for name, size in sizes.items() if "mlp" in name)
-        said = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
-        ax.text(0, y + 0.45, f"{title}: {said}", size=18)
+        total = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
+        ax.text(0, y + 0.45, f"{title}: {total}", size=18)
         show.strip(ax, {name: sizes[name] for name in SECTIONS}, y, colors)
     between = (0, len(DATA), zoom * len(DATA), 0), (2.05, 2.05, 0.9, 0.9)
     ax.fill(*between, color=show.PALE, alpha=0.5, lw=0)
-    show.strip(ax, {name: zoom * own[name] for name in SECTIONS}, 0.4, colors, 1, labels)
+    show.strip(ax, {name: zoom * coded[name] for name in SECTIONS}, 0.4, colors, 1, labels)
     ax.set(xlim=(0, zoom * len(DATA)), ylim=(-1.3, 4.9))
     ax.set_axis_off()
 
 
 def breaks(figure):
     """The same picture after failures of training and of decoding."""
-    sections = container.read_container(DATA)
+    sections = designs.read_container(DATA)
     first, *rest = sections["deformation_mlp"]
     sections["deformation_mlp"] = bytes([first ^ 64, *rest])
     files = {
         "the file": DATA,
         **{title: (PLACE / f"{title.replace(' ', '_')}.p4dgs").read_bytes() for title in FAILURES},
-        "one bit changed": container.write_container(sections, DATA[8]),
+        "one bit changed": file.write_container(sections),
     }
-    shown = {title: (file.decode(data), data) for title, data in files.items()}
+    shown = {title: (designs.decode(data), data) for title, data in files.items()}
     shown["one ulp in the decoder"] = one_ulp()
     first, *axes = figure.subplots(2, 4).flat
     truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)
     show.picture(first, truth, CAMERA, **VIEW, title="the truth,\nray traced")
-    for ax, (title, found) in zip(axes, shown.items()):
-        show.scored_picture(ax, *found, CAMERA, T, TRUTH, VIEW, title)
+    for ax, (title, decoded) in zip(axes, shown.items()):
+        show.scored_picture(ax, *decoded, CAMERA, T, TRUTH, VIEW, title)
 
 
 def one_ulp(wrong=2230):
@@ -208,19 +212,19 @@ def page(title):
     return figure
 
 
-def draw():
+def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
-        output.filled(shared.FOLDER) as beside,
-        PdfPages(beside / "tour.pdf", metadata=handout.UNDATED) as pages,
+        output.filled(shared.FOLDER) as staging,
+        PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
     ):
-        (beside / "tour").mkdir()
+        (staging / "tour").mkdir()
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-            iio.imwrite(beside / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
+            iio.imwrite(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 
 if __name__ == "__main__":

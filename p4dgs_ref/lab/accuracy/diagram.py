@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ...report.figures import BLUE, LIGHT_BLUE, RED, pyplot, save_figure
+from ...report.figures import COLORS, pyplot, save_figure
 
-# Okabe and Ito's palette, for colour-blind readers. The markers differ as well, for grey prints.
-COLORS = (BLUE, RED, "#009E73", "#CC79A7", "#E69F00", LIGHT_BLUE, "#000000", "#8C6D31", "#808080")
+# The markers differ as well, for grey prints.
+LINE_COLORS = (*COLORS, "#8C6D31", "#808080")
 MARKERS = "osD^vPXph<>*d"
 # Where a label may stand beside its point, in points, and which of its sides is towards it.
 PLACES = (
@@ -20,10 +20,7 @@ PLACES = (
     (12, -20, "left"),
     (-12, -20, "right"),
 )
-DPI = 120
-
-
-LEAST_ERROR = 1e-17  # a logarithmic axis cannot show zero
+SMALLEST_ERROR = 1e-17  # a logarithmic axis cannot show zero
 
 
 def lines_of(rows):
@@ -32,37 +29,42 @@ def lines_of(rows):
     return {name: [row for row in rows if row["line"] == name] for name in names}
 
 
-def lines(ax, rows, x, y, label=True):
+def lines(ax, rows, x, y):
     """Draw one line per `line` through the columns x and y of rows, with the value at each point.
 
     A row with the columns x_low and x_high gets a bar from quartile to quartile. NaN and infinity
     are a red cross at the top of the panel. Scales and labels of the axes are the caller's.
     """
-    for i, (name, own) in enumerate(lines_of(rows).items()):
-        color, marker = COLORS[i % len(COLORS)], MARKERS[i % len(MARKERS)]
+    for i, (name, points) in enumerate(lines_of(rows).items()):
+        color, marker = LINE_COLORS[i % len(LINE_COLORS)], MARKERS[i % len(MARKERS)]
         style = dict(color=color, marker=marker, markersize=6, linewidth=1.6)
-        least = LEAST_ERROR if ax.get_yscale() == "log" else -np.inf
-        losses = [max(row[y], least) if np.isfinite(row[y]) else np.nan for row in own]
-        ax.plot([row[x] for row in own], losses, label=name, **style)
-        for row, loss in zip(own, losses):
+        smallest = SMALLEST_ERROR if ax.get_yscale() == "log" else -np.inf
+        losses = [max(row[y], smallest) if np.isfinite(row[y]) else np.nan for row in points]
+        ax.plot([row[x] for row in points], losses, label=name, **style)
+        for row, loss in zip(points, losses):
             at, above = (row[x], loss), ax.transData
             if np.isnan(loss):
                 at, above = (row[x], 0.97), ax.get_xaxis_transform()
                 ax.plot(*at, "x", color="red", markersize=9, transform=above)
             if f"{x}_low" in row:
-                ends = [row[f"{x}_low"], row[f"{x}_high"]]
-                ax.plot(ends, [at[1]] * 2, "", color=color, linewidth=1, transform=above)
-            if label:
-                ax.annotate(
-                    row["value"],
-                    at,
-                    xycoords=above,
-                    xytext=PLACES[0][:2],
-                    textcoords="offset points",
+                ax.plot(
+                    [row[f"{x}_low"], row[f"{x}_high"]],
+                    [at[1]] * 2,
+                    "",
                     color=color,
-                    fontsize=9,
-                    in_layout=False,  # the panels keep their sizes where labels move
+                    linewidth=1,
+                    transform=above,
                 )
+            ax.annotate(
+                row["value"],
+                at,
+                xycoords=above,
+                xytext=PLACES[0][:2],
+                textcoords="offset points",
+                color=color,
+                fontsize=9,
+                in_layout=False,  # the panels keep their sizes where labels move
+            )
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
     ax.set_axisbelow(True)
 
@@ -111,24 +113,21 @@ def marker_boxes(line, half=4):
     return [Bbox([point - half, point + half]) for point in points[np.isfinite(points).all(axis=1)]]
 
 
-def draw(path, panels, size, label=True, **legend):
-    """A figure of panels (title, rows, x, y, enough, properties of the axes), one below the other.
+def write_figure(path, rows, x, y, enough, **properties):
+    """A diagram of the columns x and y of rows, with properties of its axes.
 
-    A dotted line is at the loss that is enough. Panels of several lines have a legend.
+    A dotted line is at the loss that is enough. Several lines have a legend.
     """
-    fig, rows_of_axes = pyplot().subplots(
-        len(panels), 1, figsize=size, squeeze=False, layout="constrained"
-    )
-    for ax, (title, rows, x, y, enough, properties) in zip(rows_of_axes[:, 0], panels):
-        ax.set(title=title, **properties)
-        ax.margins(0.12, 0.15)
-        lines(ax, rows, x, y, label)
-        ax.axhline(enough, color="gray", linestyle=":")
-        if len(lines_of(rows)) > 1:
-            ax.legend(fontsize=10, frameon=False, **legend)
-        for axis in (ax.xaxis, ax.yaxis):
-            if axis.get_scale() == "log":
-                readable_ticks(axis)
-    fig.set_dpi(DPI)
+    fig, ax = pyplot().subplots(figsize=(8, 4.4), layout="constrained")
+    ax.set(**properties)
+    ax.margins(0.12, 0.15)
+    lines(ax, rows, x, y)
+    ax.axhline(enough, color="gray", linestyle=":")
+    if len(lines_of(rows)) > 1:
+        ax.legend(fontsize=10, frameon=False)
+    for axis in (ax.xaxis, ax.yaxis):
+        if axis.get_scale() == "log":
+            readable_ticks(axis)
+    fig.set_dpi(120)
     place_labels(fig)
     save_figure(fig, path)

@@ -1,8 +1,8 @@
 """Cheaper forms of a function beside its true value: what the harness of formulas measures.
 
 Each function below returns {(line, value): (run, judge)}. `run()` computes one form and is timed;
-`judge(result)` returns the columns of its errors, of which `error` is drawn. Values of a knob go
-from dear to cheap, and the first line is the one that the page's table tells.
+`judge(result)` returns the columns of its errors, of which `error` is drawn. The values of a knob
+go from the reference to cheaper ones. The page's table shows the first line.
 """
 
 from functools import partial
@@ -11,8 +11,6 @@ import numpy as np
 from numpy.linalg import norm
 from scipy.special import roots_legendre
 
-from ...codec.gaussian_table import MU_BITS, SIGMA_BITS
-from ...codec.streams import decode_gaussian, encode_gaussian
 from ...equations import likelihood
 from ...oracle.compare import cast
 from ...splatting import fast
@@ -22,14 +20,12 @@ from ..random_inputs import cov2d_of, random_anchor_network, random_splats
 from . import formulas
 
 CUTS = {"1e-9": 1e-9, "1e-6": 1e-6, "5e-5": 5e-5, "1e-3": 1e-3, "1/255": 1 / 255, "1e-2": 1e-2}
-STOPS = {"0": 0.0, "1e-4": 1e-4, "1e-2": 1e-2}
 PER_ANCHOR = 34  # coded numbers of an anchor in the preset `tiny`
 
 
-def gradient_errors(truth, found):
+def gradient_errors(truth, gradient):
     """The largest error of the arrays of a gradient, each relative to the length of its array."""
-    pairs = [(truth[name], found[name]) for name in truth]
-    return {"error": float(max(norm(got - true) / norm(true) for true, got in pairs))}
+    return {"error": float(max(norm(gradient[n] - a) / norm(a) for n, a in truth.items()))}
 
 
 # --- rendering -----------------------------------------------------------------------------------
@@ -41,33 +37,36 @@ def splat_scene(n, side, **spread):
     return splats, cov2d_of(splats["conic"]), frame, image_bar
 
 
-def draw(scene, settings):
+def image_and_gradients(scene, settings):
     """The image, its gradients, and how many pairs of a Gaussian and a pixel were evaluated."""
     splats, cov2d, frame, image_bar = scene
     if settings.footprint == "all":
-        given = cast({**splats, **frame}, settings.dtype)
-        outputs, pullback = EQUATIONS["compositing"].vjp(**given)
+        inputs = cast({**splats, **frame}, settings.dtype)
+        outputs, pullback = EQUATIONS["compositing"].vjp(**inputs)
         pairs = frame["height"] * frame["width"] * int(splats["visible"].sum())
         return outputs["image"], pullback(image_bar=image_bar.astype(settings.dtype)), pairs
     (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
     return image, fast.backward(saved, image_bar), sum(A.size for _, _, A, *_ in saved[0])
 
 
-def image_errors(truth, found):
-    """Errors of an image and of its gradients, beside those of the exact twin."""
-    gap = found[0].astype(float) - truth[0]
+def image_errors(truth, result):
+    """Errors of an image and of its gradients against those of the exact renderer."""
+    gap = result[0].astype(float) - truth[0]
     return {
         "error": float(np.abs(gap).max()),
         "rms_error": float(np.sqrt((gap**2).mean())),
-        "gradient_error": gradient_errors(truth[1], found[1])["error"],
-        "pairs": found[2],
+        "gradient_error": gradient_errors(truth[1], result[1])["error"],
+        "pairs": result[2],
     }
 
 
 def rendered(choices, scene):
     """Forms of the renderer, {(line, value): Settings}, for one scene."""
-    judge = partial(image_errors, draw(scene, EXACT))
-    return {key: (partial(draw, scene, settings), judge) for key, settings in choices.items()}
+    judge = partial(image_errors, image_and_gradients(scene, EXACT))
+    return {
+        key: (partial(image_and_gradients, scene, settings), judge)
+        for key, settings in choices.items()
+    }
 
 
 def renderer(quick):
@@ -93,7 +92,7 @@ def stop(quick):
     choices = {
         (f"tiles of {tile} pixels", name): FAST._replace(tile=tile, stop=stop)
         for tile in (8, 16)
-        for name, stop in STOPS.items()
+        for name, stop in {"0": 0.0, "1e-4": 1e-4, "1e-2": 1e-2}.items()
     }
     return rendered(choices, scene)
 
@@ -105,13 +104,13 @@ def precision(quick):
     splats, _, frame, _ = splat_scene(30 * n, 24)
     sigma = rng.lognormal(size=(200 * n, PER_ANCHOR))
     noise = rng.normal(size=sigma.shape)
-    given = {
+    inputs_of = {
         "compositing": {**splats, **frame},
         "likelihood": dict(f_noisy=sigma * noise, mu=0 * sigma, sigma=sigma, q=0.5 * sigma),
         "opacity": random_anchor_network(rng, A=500 * n, d=16, k=4, hidden=(32, 32)),
     }
     forms = {}
-    for key, inputs in given.items():
+    for key, inputs in inputs_of.items():
         outputs = EQUATIONS[key](**inputs)
         bars = {f"{name}_bar": rng.normal(size=np.shape(a)) for name, a in outputs.items()}
         runs = {
@@ -152,15 +151,19 @@ def priced(choices, quick):
     return forms
 
 
-def bin_errors(formula, z, w, found):
+def bin_errors(formula, z, w, result):
     """The largest errors of bits and gradient over some bins; infinite where one is not finite."""
     bits, slopes = (
         float(a.max()) if np.isfinite(a).all() else np.inf
         for a in formulas.errors(formula, z, w, "float64")
     )
-    failed = float(np.mean(~np.isfinite(found[0])))
-    worst = max(bits, slopes)
-    return {"error": worst, "bits_error": bits, "gradient_error": slopes, "failed_share": failed}
+    failed = float(np.mean(~np.isfinite(result[0])))
+    return {
+        "error": max(bits, slopes),
+        "bits_error": bits,
+        "gradient_error": slopes,
+        "failed_share": failed,
+    }
 
 
 def likelihood_formula(quick):
@@ -177,7 +180,7 @@ def likelihood_formula(quick):
 
 def likelihood_table(quick):
     """Eq. (11) from tables of the normal distribution, entries per sigma."""
-    tables = {("", f"{n}"): (formulas.table(n), USUAL) for n in formulas.TABLES[::-1]}
+    tables = {("", f"{n}"): (formulas.lookup_table(n), USUAL) for n in formulas.TABLES[::-1]}
     return priced({("", "stable"): (likelihood.forward, USUAL), **tables}, quick)
 
 
@@ -202,49 +205,8 @@ def noise_draws(_quick):
     nodes, weights = roots_legendre(32)
     truth = weights / 2 @ np.array([price(node / 2) for node in nodes])
 
-    def judge(found):
+    def judge(bits):
         """The standard error of the rate, the sum of all bits, relative to the rate."""
-        return {"error": float(norm(found - truth) / truth.sum())}
+        return {"error": float(norm(bits - truth) / truth.sum())}
 
     return {("", f"{n}"): (partial(run, n), judge) for n in (64, 16, 4, 1)}
-
-
-# --- the entropy coder ---------------------------------------------------------------------------
-def coded(writers, symbols, mu, sigma):
-    """Forms of the coder, {(line, value): function that writes and reads and returns the bytes}."""
-    bits = float(likelihood.forward(symbols.astype(float), mu, sigma, np.ones(len(mu)))[0].sum())
-
-    def judge(data):
-        return {"error": 8 * len(data) / bits - 1, "bytes": len(data)}
-
-    return {key: (write, judge) for key, write in writers.items()}
-
-
-def in_units(values, total, bits):
-    """Values as integers of 2^-total that have only `bits` fractional bits."""
-    return (np.rint(values * 2.0**bits) * 2.0 ** (total - bits)).astype(np.int64)
-
-
-def streamed(symbols, mu, sigma, lanes=None, mu_bits=MU_BITS, sigma_bits=SIGMA_BITS):
-    """Write and read symbols by the codec's own coder; returns its bytes."""
-    units = in_units(mu, MU_BITS, mu_bits), in_units(np.log2(sigma), SIGMA_BITS, sigma_bits)
-    data = encode_gaussian(symbols, *units, lanes)
-    decode_gaussian(data, *units)
-    return data
-
-
-def lanes(quick):
-    """Lanes of the coder: each is closed by some bits, and all of a row are one array operation."""
-    sent = message(8000 if quick else 20_000)
-    counts = (1, 8, 32, 128) if quick else (1, 8, 32, 128, 512)
-    return coded({("", f"{n}"): partial(streamed, *sent, lanes=n) for n in counts}, *sent)
-
-
-def context_bits(quick):
-    """Fractional bits of the integer means and deviations; fewer need fewer frequency tables."""
-    sent, writers = message(8000 if quick else 20_000), {}
-    for bits in (10, 8, 6, 4, 3, 2, 1, 0):
-        writers["mean", f"{bits}"] = partial(streamed, *sent, mu_bits=bits)
-    for bits in (4, 3, 2, 1, 0):
-        writers["log2 deviation", f"{bits}"] = partial(streamed, *sent, sigma_bits=bits)
-    return coded(writers, *sent)

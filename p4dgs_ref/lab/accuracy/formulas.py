@@ -19,7 +19,7 @@ from ...equations.likelihood import PHI_0
 # Bits and slopes of points of the plane of bins, from 60-digit arithmetic.
 # `python -m tests.golden.likelihood_points` writes them in a checkout.
 DIGITS = Path(__file__).with_name("sixty_digits.json")
-LEAST_BITS = 1e-6  # errors of fewer bits are relative to this
+SMALLEST_BITS = 1e-6  # errors of fewer bits are relative to this
 HAC_FLOOR = 1e-6  # of p, in HAC: at most 19.93 bits
 TABLE_REACH = 8.0  # sigmas: beyond, the tables are constant
 TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bit frequencies
@@ -42,9 +42,9 @@ def formula_of(log_p_of, folded=True):
             # sigma divides both z and w
             sigma_slope = -((f_noisy - mu) / sigma * slope_z + q / sigma * slope_w)
             per_unit = -1 / (math.log(2) * sigma)
-            found = [per_unit * slope for slope in (slope_z, sigma_slope, slope_w)]
+            saved = [per_unit * slope for slope in (slope_z, sigma_slope, slope_w)]
             bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
-        bits, *saved = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *found))
+        bits, *saved = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *saved))
         return bits, tuple(saved)
 
     return formula
@@ -86,7 +86,7 @@ def log_tails(low, high):
     return log_p, *slopes(*(PHI_0 * np.exp(-0.5 * v * v - log_p) for v in (low, high)))
 
 
-def table(entries):
+def lookup_table(entries):
     """The formula that reads Phi from a table of `entries` per sigma, interpolating linearly.
 
     It takes the density from the slope of the same table.
@@ -113,7 +113,7 @@ FORMULAS = {
     "HAC, floor 1e-6": hac,
     "tail-symmetric": formula_of(tails),
     "log domain": formula_of(log_tails),
-    "table, 256 per sigma": table(256),
+    "table, 256 per sigma": lookup_table(256),
     "stable": likelihood.forward,
 }
 TABLES = (16, 64, 256, 1024, 4096)
@@ -166,12 +166,9 @@ def quadrature(panels=8, points=20):
 
 def check_truth():
     """The largest relative distance of the quadrature from 60-digit values: of bits, of slopes."""
-    points = json.loads(DIGITS.read_text(encoding="utf-8"))
-    z, w, bits, *slopes = np.array(points).T
-    found_bits, *found_slopes = (-a / math.log(2) for a in truth(z, w))
-    bits_error = np.abs(found_bits - bits) / np.maximum(bits, LEAST_BITS)
-    gap = np.abs(np.array(found_slopes) - slopes).max(axis=0)
-    return bits_error.max(), relative_to(np.abs(slopes).max(axis=0), gap).max()
+    z, w, *exact = np.array(json.loads(DIGITS.read_text(encoding="utf-8"))).T
+    bits_error, slopes_error = relative_errors(in_bits(truth(z, w)), exact)
+    return bits_error.max(), slopes_error.max()
 
 
 # --- errors --------------------------------------------------------------------------------------
@@ -182,17 +179,26 @@ def inputs(z, w, dtype):
 
 
 def errors(formula, z, w, dtype):
-    """Errors of the bits, relative above LEAST_BITS, and of the slopes, relative to the larger one.
+    """Errors of the bits, relative above SMALLEST_BITS, and of the slopes, relative to the larger.
 
     z and w are vectors of numbers that float32 can hold, so that both precisions have one truth.
     """
     with np.errstate(all="ignore"):
         bits, (f_slope, _, q_slope) = formula(**inputs(z, w, dtype))
-    true_bits, *true_slopes = (-a / math.log(2) for a in truth(z, w))
-    bits_error = np.abs(bits[0].astype(float) - true_bits) / np.maximum(true_bits, LEAST_BITS)
-    slopes = np.concatenate([f_slope, q_slope]).astype(float)
-    gap = np.abs(slopes - true_slopes).max(axis=0)
-    return bits_error, relative_to(np.abs(true_slopes).max(axis=0), gap)
+    numbers = np.concatenate([bits, f_slope, q_slope]).astype(float)
+    return relative_errors(numbers, in_bits(truth(z, w)))
+
+
+def in_bits(logarithms):
+    """The negative of log p and of its slopes, in bits."""
+    return [-a / math.log(2) for a in logarithms]
+
+
+def relative_errors(numbers, exact):
+    """The relative errors of (bits, slope, slope) against exact ones: of bits, and of slopes."""
+    gap = np.abs(np.array(numbers) - exact)
+    largest = np.abs(exact[1:]).max(axis=0)
+    return gap[0] / np.maximum(exact[0], SMALLEST_BITS), relative_to(largest, gap[1:].max(axis=0))
 
 
 def relative_to(largest, gap):

@@ -1,4 +1,4 @@
-"""Short trainings, the four harnesses, which turn a knob into rows, and the verdict of a row.
+"""Short trainings, and the harnesses, which measure the values of a knob and return rows.
 
 A row has the columns line and value, then error and ms (formulas, kernels), psnr_db and bytes
 (files), or psnr_db, bytes and seconds (training). Times are processor times, taken in turn, of this
@@ -7,31 +7,25 @@ process or, for kernels, of one process each; trainings may run in others.
 
 import os
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from ...arithmetic import CHOSEN, OWN, kernels
-from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
+from ...codec.file import ATTRIBUTE_SECTIONS
+from ...designs import choose, decode, encode, trainer_of
 from ...report.evaluate import evaluate
 from ...report.inspect import components
 from ...report.jobs import in_processes, processes
 from ...scenes import load_scene
-from ...training.presets import TINY, choose
-from ...training.trainer import Trainer
-from ..clock import alternate, can_tell, clocked
-from .diagram import lines_of
+from ...training.presets import TINY
+from ..clock import alternate, clocked
 
 SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
 STEPS = 10  # of a training with other kernels, timed together
 # The iterations of a preset that are shortened together with its stages.
 DATES = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
-LEAST = 1.01  # a knob that saves a smaller factor saves nothing
-# What a knob is for that loses up to ten times more than is enough, by what it saves.
-USES = {"ms": "for rough work", "seconds": "to try things out", "bytes": "at low rates"}
-HIDDEN = "seeds differ by more"
-# The order of verdicts in the table.
-ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no")
 
 
 # --- trainings -----------------------------------------------------------------------------------
@@ -39,7 +33,7 @@ def shortened(preset, share):
     """The preset with a share of its iterations: all stages and dates are shortened alike."""
     ends = tuple(max(round(share * end), i + 1) for i, end in enumerate(preset.stage_ends))
     dates = {name: round(share * getattr(preset, name)) for name in DATES}
-    return preset._replace(stage_ends=ends, **dates)
+    return replace(preset, stage_ends=ends, **dates)
 
 
 def reduced(iterations, **changes):
@@ -55,7 +49,7 @@ def step_at(scene, preset, stage, **options):
     `options` are those of the Trainer.
     """
     # The anchors stay as they are.
-    trainer = Trainer(scene, preset._replace(grow_every=10**9), **options)
+    trainer = trainer_of(scene, replace(preset, grow_every=10**9), **options)
 
     def step():
         trainer.iteration = (0, *preset.stage_ends)[stage - 1]
@@ -83,7 +77,7 @@ def trained(changes, iterations, seed=0):
     """The model of a training with some changes."""
     scene, preset, options = prepared(changes, iterations)
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
-        return Trainer(scene, preset, seed, **options).run()
+        return trainer_of(scene, preset, seed, **options).run()
 
 
 # --- the harnesses -------------------------------------------------------------------------------
@@ -98,7 +92,7 @@ def measure_forms(forms, repeats):
 
 
 @cache
-def last_step():
+def step_of_stage_4():
     """A function that does the first step of stage 4."""
     return step_at(scene_of(), TINY, 4)
 
@@ -108,7 +102,7 @@ def clocked_steps():
 
     Views differ in time more than kernels do, so one step is too few.
     """
-    return clocked(lambda: [last_step()() for _ in range(STEPS)][-1])
+    return clocked(lambda: [step_of_stage_4()() for _ in range(STEPS)][-1])
 
 
 def measure_kernels(knob):
@@ -201,86 +195,12 @@ def measure_trainings(knobs, iterations, progress, jobs):
         results.append(result)
         progress(f"training: {len(results)} of {len(tasks)} trainings")
     spread = float(np.ptp([result["psnr_db"] for result in results[len(runs) :]]))
-    found = {key: {**result, **times[key]} for key, result in zip(runs, results)}
+    columns = {key: {**result, **times[key]} for key, result in zip(runs, results)}
     rows = {
         knob.name: [
-            {"line": "", "value": value, **found[repr(changes)]}
+            {"line": "", "value": value, **columns[repr(changes)]}
             for value, changes in knob.values.items()
         ]
         for knob in knobs
     }
     return rows, spread
-
-
-# --- what the rows say ---------------------------------------------------------------------------
-def loss(row, dear):
-    """The error of a row, or the dB that it loses against the dear one."""
-    return row["error"] if "error" in row else dear["psnr_db"] - row["psnr_db"]
-
-
-def factor(knob, row, dear):
-    """How many times as much the dear value spends; 1 where two times cannot be told apart."""
-    if knob.spent != "bytes" and not can_tell(row, dear, knob.spent):
-        return 1.0
-    return dear[knob.spent] / row[knob.spent]
-
-
-def finding(knob, rows, spread=0.0):
-    """What the first line of a knob says: the row of the page's table.
-
-    The value told is the cheapest one that loses no more than is enough. Where there is none, it is
-    the first one that saves anything. `spread` is the difference in dB that seeds alone make.
-    """
-    dear, *cheaper = next(iter(lines_of(rows).values()))
-    helps = [row for row in cheaper if factor(knob, row, dear) >= LEAST]
-    free = [row for row in helps if loss(row, dear) <= knob.enough]
-    first, *_ = *helps, *cheaper
-    row = max(free, key=lambda row: factor(knob, row, dear), default=first)
-    times = factor(knob, row, dear)
-    return {
-        "knob": knob.name,
-        "dear": dear["value"],
-        "cheap": row["value"],
-        "lost": lost(knob, row, dear),
-        "saved": saved(row, dear),
-        "factor": times,
-        "verdict": verdict(knob, loss(row, dear), times, spread),
-    }
-
-
-def verdict(knob, lost, times, spread):
-    """A verdict on a loss and a saving, of at most five words."""
-    if times < LEAST:
-        return "saves nothing"
-    if lost <= knob.enough:
-        return "always"
-    if lost <= spread:
-        return HIDDEN
-    return USES[knob.spent] if lost <= 10 * knob.enough else "no"
-
-
-def lost(knob, row, dear):
-    """The loss of a row in words."""
-    if "error" in row:
-        return f"{100 * row['error']:.2g} % {knob.unit}"
-    return f"{row['psnr_db'] - dear['psnr_db']:+.2f} dB".replace("-", "−")
-
-
-def saved(row, dear):
-    """All that a row spends instead of the dear one, in words."""
-    units = {"ms": "ms", "seconds": "s", "bytes": "bytes"}
-    columns = [name for name in units if name in row and not (name == "bytes" and "ms" in row)]
-    return ", ".join(f"{amount(dear[c])} → {amount(row[c])} {units[c]}" for c in columns)
-
-
-def amount(value):
-    """A time or a size in three digits or more."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def pays_from(rows):
-    """From how many anchors on the context pays, extrapolated from the two rows of its knob."""
-    prior, alone = rows
-    per_anchor = (alone["attribute_bytes"] - prior["attribute_bytes"]) / prior["anchors"]
-    cost = (prior["bytes"] - prior["attribute_bytes"]) - (alone["bytes"] - alone["attribute_bytes"])
-    return float(f"{cost / max(per_anchor, 1e-9):.2g}")

@@ -1,4 +1,4 @@
-"""The table of knobs: what each changes, its values from dear to cheap, and how it is set.
+"""The table of knobs: what each changes, its values, the reference first, and how it is set.
 
 The values of a knob of files are models: the same trained one, written otherwise.
 """
@@ -8,15 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...beyond import model as ours
+from ...beyond.networks import step_code
 from ...codec.quantise import quantise
 from ...equations.prior import layout
-from ...model import Model, join, step_code
+from ...model import Model, join
 from ...splatting.settings import FAST, PAPER
 from .. import StudyError
 from . import forms
 
-LEAST_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
-NODES = ((8, 16), (16, 32))  # resolutions of a hash grid of eight levels: of space, of planes
+MIN_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
 
 
 class Knob(NamedTuple):
@@ -35,20 +36,10 @@ class Knob(NamedTuple):
     spent: str = "bytes"  # the column that the knob saves: "ms", "seconds" or "bytes"
 
 
-def formula(name, values, changes, set_by, enough, unit):
-    """A knob whose values are forms of one function."""
-    return Knob(name, "formula", values, changes, set_by, enough, unit, "ms")
-
-
-def training(name, values, changes, set_by="fields", spent="seconds"):
-    """A knob whose values are changes to the training."""
-    return Knob(name, "training", values, changes, set_by, spent=spent)
-
-
-def field(name, label, values, base, changes, **options):
+def field(name, label, values, base, changes, spent="seconds"):
     """A knob that is one field of the preset; `base` is its value in `tiny`."""
     choices = {f"{value:g}": {} if value == base else {name: value} for value in values}
-    return training(label, choices, changes, f"`--set {name}`", **options)
+    return Knob(label, "training", choices, changes, f"`--set {name}`", spent=spent)
 
 
 def steps_times(factor):
@@ -56,17 +47,17 @@ def steps_times(factor):
     return dict(Q_f=0.25 * factor, Q_s=0.01 * factor, Q_l=0.01 * factor, Q_O=0.1 * factor)
 
 
-SEEN = 0.5 / 255, "of the picture"  # half a step of 8 bits
-RATE = 0.01, "of the bits"
-SIZE = 0.01, "of the bytes"
-SLOPE = 1e-3, "of the gradient"
+# Of the knobs of formulas: a loss that does not matter, its unit, and what is saved.
+PICTURE = 0.5 / 255, "of the picture", "ms"  # half a step of 8 bits
+RATE = 0.01, "of the bits", "ms"
+SLOPE = 1e-3, "of the gradient", "ms"
 
 
 # --- the same model written otherwise -------------------------------------------------------------
-# Each function below returns {(line, value): model}, from dear to cheap.
+# Each function below returns {(line, value): model}, from the reference to cheaper ones.
 def redesigned(model, **changes) -> Model:
     """The model with other fields of its design."""
-    return replace(model, design=model.design._replace(**changes))
+    return replace(model, design=replace(model.design, **changes))
 
 
 def weight_bits(model):
@@ -80,22 +71,23 @@ def weight_bits(model):
             )
             for name, pair in model.networks.items()
         }
-        choices["", f"{bits}"] = replace(redesigned(model, coded=True), steps=steps)
+        choices["", f"{bits}"] = coded(model, steps=steps)
     return choices
+
+
+def coded(model, steps=None, position_bits=16):
+    """The model in the coded design."""
+    design = ours.Design(**vars(model.design), position_bits=position_bits)
+    return ours.Model(**{**vars(model), "design": design}, steps=steps)
 
 
 def position_bits(model):
     """Bits of a position per axis, in the coded design."""
     bits = (16, 12, 11, 10, 9, 8, 7, 6)
-    return {("", f"{n}"): redesigned(model, coded=True, position_bits=n) for n in bits}
+    return {("", f"{n}"): coded(model, position_bits=n) for n in bits}
 
 
-def scaled(model, factor):
-    """The model with other base steps."""
-    return redesigned(model, Q_0=tuple(factor * Q for Q in model.design.Q_0))
-
-
-def fixed(model):
+def with_base_steps(model):
     """The model with every step at Q_0: the last layer of psi_q is zero (Eq. 8)."""
     psi_q = tuple([*arrays[:-1], np.zeros_like(arrays[-1])] for arrays in model.networks["psi_q"])
     return replace(model, networks={**model.networks, "psi_q": psi_q})
@@ -103,9 +95,12 @@ def fixed(model):
 
 def steps(model):
     """Base steps, with the learned factors and without them."""
-    lines = {"steps of every anchor": model, "one step for all": fixed(model)}
-    factors = (0.25, 0.5, 1, 2, 4, 8)
-    return {(line, f"{n:g}"): scaled(m, n) for line, m in lines.items() for n in factors}
+    lines = {"steps of every anchor": model, "one step for all": with_base_steps(model)}
+    return {
+        (line, f"{n:g}"): redesigned(m, Q_0=tuple(n * Q for Q in m.design.Q_0))
+        for line, m in lines.items()
+        for n in (0.25, 0.5, 1, 2, 4, 8)
+    }
 
 
 def without_context(model):
@@ -114,10 +109,10 @@ def without_context(model):
     The hash grid has one node, and the networks of the context have no hidden layer and zero
     weights; the last bias of psi_p holds the means and deviations.
     """
-    q = quantise(fixed(model))
+    q = quantise(with_base_steps(model))
     values = np.ma.array(join(q.model.anchors), mask=~q.kept)
     mean, variance = values.mean(axis=0).filled(0), values.var(axis=0).filled(0)
-    least = LEAST_DEVIATION * np.repeat(model.design.Q_0, model.design.widths)
+    smallest = MIN_DEVIATION * np.repeat(model.design.Q_0, model.design.widths)
     small = redesigned(model, context=(), grid=(("xyz", 1),), F=1)
     networks = {
         name: ([np.zeros(shape)], [np.zeros(shape[1])])
@@ -126,74 +121,76 @@ def without_context(model):
     }
     mu, raw = layout(model.design.widths)
     bias = networks["psi_p"][1][0]
-    bias[mu], bias[raw] = mean, 0.5 * np.log(np.maximum(variance, least**2))
+    bias[mu], bias[raw] = mean, 0.5 * np.log(np.maximum(variance, smallest**2))
     grids = [np.ones(shape) for shape in small.design.levels()]
     return replace(small, networks={**model.networks, **networks}, grids=grids)
 
 
 def context(model):
     """The paper's context, and one Gaussian per channel; all steps are Q_0 in both."""
-    return {("", "grid and ψ_p"): fixed(model), ("", "one Gaussian"): without_context(model)}
+    return {
+        ("", "grid and ψ_p"): with_base_steps(model),
+        ("", "one Gaussian"): without_context(model),
+    }
 
 
 # --- the table ------------------------------------------------------------------------------------
 KNOBS = (
-    formula(
+    Knob(
         "renderer",
+        "formula",
         forms.renderer,
         "Which Gaussians are evaluated at which pixels, and in which precision",
         "`settings` of `render` and `train`",
-        *SEEN,
+        *PICTURE,
     ),
-    formula("cut", forms.cut, "The opacity below which a Gaussian ends", "`Settings.cut`", *SEEN),
-    formula(
+    Knob(
+        "cut",
+        "formula",
+        forms.cut,
+        "The opacity below which a Gaussian ends",
+        "`Settings.cut`",
+        *PICTURE,
+    ),
+    Knob(
         "stop",
+        "formula",
         forms.stop,
         "The transmittance below which a ray ends, behind large opaque splats",
         "`Settings.stop`",
-        *SEEN,
+        *PICTURE,
     ),
-    formula(
+    Knob(
         "precision",
+        "formula",
         forms.precision,
         "The floating-point type of an equation, forward and backward",
         "the inputs' dtype; `Settings.dtype`",
         *SLOPE,
     ),
-    formula(
+    Knob(
         "likelihood",
+        "formula",
         forms.likelihood_formula,
         "The formula for the bits of a symbol, Eq. (11)",
         "`equations/likelihood.py`",
         *RATE,
     ),
-    formula(
+    Knob(
         "likelihood table",
+        "formula",
         forms.likelihood_table,
         "Eq. (11) from a table of the normal distribution, entries per σ",
         "`lab/accuracy/formulas.py`",
         *RATE,
     ),
-    formula(
+    Knob(
         "noise draws",
+        "formula",
         forms.noise_draws,
         "How many draws of the quantisation noise estimate the rate of 200 anchors",
         "one draw in `training/objective.py`",
         *RATE,
-    ),
-    formula(
-        "lanes",
-        forms.lanes,
-        "How many states of the entropy coder take turns",
-        "`lanes` of `encode_gaussian`",
-        *SIZE,
-    ),
-    formula(
-        "context bits",
-        forms.context_bits,
-        "Fractional bits of the integer means and deviations of the coder",
-        "`MU_BITS`, `SIGMA_BITS`, fixed by the format",
-        *SIZE,
     ),
     Knob(
         "same bytes everywhere",
@@ -210,7 +207,7 @@ KNOBS = (
         "file",
         weight_bits,
         "Bits of a network's weight: 16 as they are, fewer entropy coded",
-        "`Model.steps` and `coded`",
+        "`beyond.model.Model.steps`",
     ),
     Knob(
         "position bits",
@@ -233,30 +230,37 @@ KNOBS = (
         "What predicts the symbols: hash grid and ψ_p, or one Gaussian per channel",
         "`Design.grid` and `context`",
     ),
-    training(
+    Knob(
         "iterations",
+        "training",
         {f"{n:,}": dict(iterations=n) for n in (3800, 1900, 950, 475, 240)},
         "The length of the training; all stages shrink alike",
         "`--set stage_ends` and others",
+        spent="seconds",
     ),
-    training(
+    Knob(
         "image size",
+        "training",
         {"64 px": {}, "32 px": dict(downscale=2), "16 px": dict(downscale=4)},
         "The side of the training views; the test views keep 64 pixels",
         "`--downscale`",
+        spent="seconds",
     ),
-    training(
+    Knob(
         "training renderer",
+        "training",
         {"float64": dict(settings=FAST._replace(dtype="float64")), "fast": {}}
         | {"paper": dict(settings=PAPER)},
         "The renderer that the training uses; the test views are drawn by `fast`",
         "`settings` of `train`",
+        spent="seconds",
     ),
     field("anchors", "anchors", (400, 200, 100, 50), 200, "The anchors at the start"),
     field("k", "children k", (8, 4, 2, 1), 4, "The Gaussians of an anchor"),
     field("d", "features d", (32, 16, 8, 4), 16, "The width of an anchor's feature", spent="bytes"),
-    training(
+    Knob(
         "deformation width",
+        "training",
         {f"{n}": {} if n == 64 else dict(deformation=(n, n)) for n in (128, 64, 32, 16)},
         "The units of both hidden layers of the deformation network",
         "`--set deformation`",
@@ -268,10 +272,11 @@ KNOBS = (
     field(
         "L_t", "L_t", (8, 4, 2, 1), 4, "Frequencies of the positional encoding of t", spent="bytes"
     ),
-    training(
+    Knob(
         "hash grid",
+        "training",
         {
-            "8 levels": dict(zip(("grid_3d", "grid_2d"), NODES)),
+            "8 levels": dict(grid_3d=(8, 16), grid_2d=(16, 32)),
             "4 levels": {},
             "1 level": dict(grid_2d=()),
             "64 entries": dict(grid_2d=(), table_3d=64),
@@ -288,20 +293,16 @@ KNOBS = (
         "The price of a bit in the loss",
         spent="bytes",
     ),
-    training(
+    Knob(
         "trained steps",
+        "training",
         {f"{n:g}": {} if n == 1 else steps_times(n) for n in (0.5, 1, 2, 4)},
         "The quantisation steps in multiples of `tiny`'s, with which the model is trained",
         "`--set Q_f`, `Q_s`, `Q_l`, `Q_O`",
         spent="bytes",
     ),
 )
-HARNESSES = {
-    "formula": "Cheaper forms of a function, against its true value",
-    "kernels": "A training step with other kernels of NumPy and its BLAS",
-    "file": "The same trained model, written otherwise",
-    "training": "Trained with another field of the preset",
-}
+HARNESSES = ("formula", "kernels", "file", "training")
 
 
 def file_name(knob):
@@ -312,7 +313,7 @@ def file_name(knob):
 NAMES = (*HARNESSES, *map(file_name, KNOBS))
 
 
-def chosen(names):
+def select(names):
     """The knobs of these names or harnesses; None for all. Raises StudyError for another name."""
     for name in names or ():
         if name not in NAMES:

@@ -15,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import designs
 from ...scenes.fields import require
 from ...scenes.files import reading
 from ...splatting.settings import FAST
-from ...table import BEYOND, EQUATIONS, Equation
+from ...table import EQUATIONS, Equation
 from ...training.parameters import Parameters
 from ...training.presets import read_changes
+from .. import entry
 from . import d3dgs, explicit, gaussian4d, hexplane
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
@@ -34,9 +36,7 @@ METHODS = {
 
 def module_of(method):
     """The module of a method, and the name of its preset for the tiny scenes."""
-    if method not in METHODS:
-        raise ValueError(f"method {method!r}: expected one of {', '.join(METHODS)}")
-    return METHODS[method]
+    return entry(METHODS, "method", method)
 
 
 def choose(method, preset=None, changes=None):
@@ -45,11 +45,8 @@ def choose(method, preset=None, changes=None):
     Raises ValueError with the name of the method, preset or field and what was expected.
     """
     module, tiny = module_of(method)
-    name = preset or tiny
-    if name not in module.PRESETS:
-        raise ValueError(f"preset {name!r}: expected one of {', '.join(module.PRESETS)}")
-    chosen = module.PRESETS[name]
-    return replace(chosen, **read_changes(name, vars(chosen), changes))
+    base = entry(module.PRESETS, "preset", preset or tiny)
+    return replace(base, **read_changes(base.name, vars(base), changes))
 
 
 def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None, **changes):
@@ -59,9 +56,9 @@ def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None
     a `training.loop.Progress`; the other arguments are those of our `train`. Raises ValueError
     for an unknown method, preset, field or value, and NotFinite.
     """
-    kind, chosen = module_of(method)[0].Trainer, choose(method, preset, changes)
+    (module, _), constants = module_of(method), choose(method, preset, changes)
     with np.errstate(all="ignore"):  # non-finite values are found and named
-        return kind(scene, chosen, seed, settings).run(report)
+        return module.Trainer(scene, constants, seed, settings).run(report)
 
 
 def load(path):
@@ -98,7 +95,7 @@ _ROWS = (
         "deformation_d3dgs",
         "D3",
         "(delta_x, delta_s, delta_r) = psi_d(concat(E(x), psi_t(E(t))))",
-        "p4dgs_ref.equations.deformation_d3dgs",
+        "p4dgs_ref.lab.baselines.deformation_d3dgs",
         ("delta_x", "delta_s", "delta_r"),
         ("x", "weights", "biases", "time_weights", "time_biases"),
     ),
@@ -161,4 +158,4 @@ _ROWS = (
 )
 
 BASELINE_EQUATIONS: dict[str, Equation] = {row.key: row for row in _ROWS}
-ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **BEYOND}
+ALL_EQUATIONS = {**EQUATIONS, **BASELINE_EQUATIONS, **designs.EQUATIONS}

@@ -42,11 +42,12 @@ def backward(saved, x_t_bar, Sigma_t_bar, var_t_bar):
     # Of all multiples of m, velocity m is the one that leaves the shortest Y. Its slope is
     # therefore 0, and Sigma_t depends on M as if the velocity were a constant.
     Y_bar = (Sigma_t_bar + Sigma_t_bar.transpose(0, 2, 1)) @ Y
-    pull = x_t_bar * (since[:, None] / duration)
+    # In the forward velocity = M[:, :3] unit / duration, so this product gets 1 / duration.
+    dot_bar = x_t_bar * (since[:, None] / duration)
     M_bar = np.empty_like(R)
-    M_bar[:, :3] = Y_bar + pull[:, :, None] * unit[:, None, :]
+    M_bar[:, :3] = Y_bar + dot_bar[:, :, None] * unit[:, None, :]
     M_bar[:, 3] = (
-        np.einsum("na,naj->nj", pull / duration, Y)
+        np.einsum("na,naj->nj", dot_bar / duration, Y)
         - np.einsum("na,naj->nj", velocity, M_bar[:, :3])
         + 2 * var_t_bar[:, None] * duration * unit
     )

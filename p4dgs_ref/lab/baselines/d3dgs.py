@@ -1,7 +1,7 @@
 """D3DGS (Yang et al. 2024): explicit Gaussians and a network that moves each of them.
 
     (s, r, alpha) = D1(log_s, raw_r, logit_alpha)               `activations`
-    (delta_x, delta_s, delta_r) = psi_d(E(x), psi_t(E(t)))      D3, `equations.deformation_d3dgs`
+    (delta_x, delta_s, delta_r) = psi_d(E(x), psi_t(E(t)))      D3, `deformation_d3dgs`
     x_t = x + delta_x, s_t = s + delta_s, r_t = r + delta_r     Eq. (6)
     color = D2(x_t - x_c, sh)                                   `sh_color`
 
@@ -14,10 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...equations import deformation_d3dgs, deformed
-from ...model import Gaussians, deformation_layers, pull
+from ...equations import deformed
+from ...model import Gaussians, with_backward
 from ...training.parameters import random_layers
-from . import activations, explicit
+from . import activations, deformation_d3dgs, explicit
+from .d3dgs_network import deformation_layers
 
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
@@ -70,16 +71,20 @@ class D3DGS(explicit.Explicit):
             arrays[f"psi_d.b{i}"] *= preset.deformation_gain
         return arrays
 
-    def predict(self, t, x_c, iteration=explicit.FINISHED):
+    def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
         """See `Explicit`; before `warm_up` nothing moves."""
         p, preset = self.parameters, self.preset
         moves = iteration >= preset.warm_up
-        (s, r, alpha), back_stored = pull(activations, p["log_s"], p["raw_r"], p["logit_alpha"])
+        (s, r, alpha), back_stored = with_backward(
+            activations, p["log_s"], p["raw_r"], p["logit_alpha"]
+        )
         x = p["x"]
         if moves:
             layers = *p.network("psi_d"), *p.network("psi_t")
-            deltas, back_psi = pull(deformation_d3dgs, x, t, *layers, preset.L_x, preset.L_t)
-            (x, s, r), back_deformed = pull(deformed, x, s, r, *deltas)
+            deltas, back_psi = with_backward(
+                deformation_d3dgs, x, t, *layers, preset.L_x, preset.L_t
+            )
+            (x, s, r), back_deformed = with_backward(deformed, x, s, r, *deltas)
         color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):

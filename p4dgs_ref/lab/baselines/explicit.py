@@ -31,7 +31,7 @@ import numpy as np
 
 from ...equations import render_loss, view
 from ...equations.numerics import normalise, sigmoid
-from ...model import bounding_box, pull
+from ...model import bounding_box, with_backward
 from ...scenes.fields import require
 from ...scenes.files import read_ply, write_ply
 from ...splatting import render
@@ -40,18 +40,18 @@ from ...splatting.settings import FAST
 from ...training.density import Statistics
 from ...training.initial import neighbour_distance, starting_points
 from ...training.loop import Loop
-from ...training.objective import Losses, Seen
+from ...training.objective import Losses, Rendered
 from ...training.parameters import Parameters, exponential
 from ...training.watch import NotFinite, first_bad
 from . import sh_color
 
-FINISHED = 10**9  # an iteration in which every schedule of a preset has ended
+AFTER_TRAINING = 10**9  # an iteration in which every schedule of a preset has ended
 # The fields of a preset that a file tells its reader.
 FORM = ("sh_degree", "L_x", "L_t", "waves")
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
-WAITING = ("psi", "psi_d", "psi_t", "planes")  # what takes part once the Gaussians move
+MOVING_ARRAYS = ("psi", "psi_d", "psi_t", "planes")  # they take part once the Gaussians move
 SHRINK = 1.6  # children of a split are smaller by this factor
-LARGEST = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+MAX_SCALE = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
 RESET_ALPHA = 0.01
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
 PLY_OF_3DGS = {
@@ -125,7 +125,7 @@ class Explicit:
     predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
                                    back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
                                    the gradients {array name: gradient}; the iteration is one of
-                                   training, or FINISHED, which is the default
+                                   training, or AFTER_TRAINING, the default
     """
 
     parameters: Parameters
@@ -152,13 +152,15 @@ class Explicit:
 
     def render(self, camera, t, settings=FAST):
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        (image, *_), _ = self.draw(self.gaussians(t, camera), camera, settings, keep=False)
+        (image, *_), _ = self.render_gaussians(
+            self.gaussians(t, camera), camera, settings, keep=False
+        )
         return image
 
-    def draw(self, g, camera, settings, keep=True):
+    def render_gaussians(self, g, camera, settings, keep=True):
         """What `splatting.render.forward` returns for some Gaussians, and its backward."""
         looks = camera, self.background, settings, self.occlusion, keep
-        return pull(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
+        return with_backward(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
 
     def regularise(self, gradients, iteration):
         """Return the further terms of the loss and add their gradients; here there are none."""
@@ -166,8 +168,8 @@ class Explicit:
 
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
-        arrays, zeros = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
-        rows = {name: arrays.pop(name, zeros) for name in self.PROPERTIES}  # zeros are the normals
+        arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        rows = {name: arrays.pop(name, normals) for name in self.PROPERTIES}
         columns = [array.reshape(len(array), -1) for array in rows.values()]
         properties = [
             text.replace("*", str(i)) if "*" in text else text.split()[i]
@@ -184,9 +186,14 @@ class Explicit:
             "shapes": {name: array.shape for name, array in arrays.items()},
         }
         comments = json.dumps(values), f"{len(network)} float32 of networks follow the vertices"
-        rows, rest = np.concatenate(columns, axis=1), network.astype("<f4").tobytes()
-        other, gaussians, network_bytes = write_ply(path, properties, rows, comments, rest)
-        return {"gaussians": gaussians, "network": network_bytes, "other": other}
+        sizes = write_ply(
+            path,
+            properties,
+            np.concatenate(columns, axis=1),
+            comments,
+            network.astype("<f4").tobytes(),
+        )
+        return dict(zip(("other", "gaussians", "network"), sizes))
 
 
 def start(preset, rng, points=None):
@@ -210,11 +217,11 @@ def colors(preset, p, x, x_c, iteration):
     back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is that of the moved
     Gaussian, as in the kernel of 3DGS.
     """
-    (_, d), back_view = pull(view, x, x_c)
+    (_, d), back_view = with_backward(view, x, x_c)
     degree = min(iteration // preset.sh_every, preset.sh_degree)
     used = (degree + 1) ** 2 - 1
     sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
-    color, back_color = pull(sh_color, d, sh)
+    color, back_color = with_backward(sh_color, d, sh)
 
     def back(color_bar):
         bars = back_color(color_bar)
@@ -285,8 +292,8 @@ class Trainer(Loop):
 
     def around(self, parameters):
         """The model of some parameters, which it does not copy."""
-        occlusion = "occlusion" in self.scene.effects
-        return self.kind(parameters, self.preset, self.scene.background, occlusion)
+        scene = self.scene
+        return self.kind(parameters, self.preset, scene.background, "occlusion" in scene.effects)
 
     def model(self):
         """The model as it is now."""
@@ -298,7 +305,7 @@ class Trainer(Loop):
 
     def rate_of(self, name):
         """The current learning rate of an array, or of all arrays of a network."""
-        waits = name in WAITING and self.iteration < self.preset.warm_up
+        waits = name in MOVING_ARRAYS and self.iteration < self.preset.warm_up
         if waits or name not in self.RATES:
             return 0.0
         now, until = self.schedule(name)
@@ -310,7 +317,7 @@ class Trainer(Loop):
         return self.iteration, self.preset.iterations
 
     def gradients_of(self, view):
-        """The Losses of a view, what was Seen, and the gradients of parameters and of mean2d.
+        """The Losses of a view, what was Rendered, and the gradients of parameters and of mean2d.
 
         Raises NotFinite with the first array and index that is NaN or infinite.
         """
@@ -318,11 +325,10 @@ class Trainer(Loop):
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
         g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
-        (image, _, visible), back_draw = model.draw(g, view.camera, self.settings)
-        truth = view.image.astype(image.dtype)
-        moments = self.moments_of(view)
-        losses, back_loss = pull(render_loss, image, truth, preset.lambda_ssim, moments)
-        bars = back_draw(back_loss(1.0)["image"])
+        (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
+        truth, moments = view.image.astype(image.dtype), self.moments_of(view)
+        losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
+        bars = back_render(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         for name, gradient in back_predict(*gaussians_bar).items():
             gradients[name][...] = gradient
@@ -331,9 +337,13 @@ class Trainer(Loop):
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
             raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
-        losses = Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0)
         unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
-        return losses, Seen(unused, g.index, visible, image), gradients, bars["mean2d"]
+        return (
+            Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0),
+            Rendered(unused, g.index, visible, image),
+            gradients,
+            bars["mean2d"],
+        )
 
     def scatter(self, children):
         """Move copies {array name: rows} of a Gaussian to points drawn from it, and shrink them."""
@@ -390,7 +400,7 @@ def densify(p, rows, gradient, extent, preset, scatter, prune_large):
     children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
     scatter(children)
     added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
-    limit = LARGEST * extent if prune_large else np.inf
+    limit = MAX_SCALE * extent if prune_large else np.inf
     keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
     keep[parents] = False
     return keep, {name: a[lasting] for name, a in added.items()}
@@ -407,7 +417,6 @@ def reset_opacity(p, first, second):
 
     What the pictures need becomes opaque again; the rest is pruned.
     """
-    most = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
-    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], most)
-    first["logit_alpha"][...] = 0
-    second["logit_alpha"][...] = 0
+    limit = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
+    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], limit)
+    first["logit_alpha"][...] = second["logit_alpha"][...] = 0

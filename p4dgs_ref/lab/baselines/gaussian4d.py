@@ -6,7 +6,7 @@
     color = D2(x_t - x_c, G4(sh, mu_t, t))                          `spherindrical`, `sh_color`
 
 A Gaussian moves along a straight line and fades in and out around mu_t. Those whose weight is at
-most LEAST_WEIGHT at t are not rendered.
+most MIN_WEIGHT at t are not rendered.
 
 The direction of view is that of the moved Gaussian, x_t - x_c. The authors' kernel takes the mean x
 in its forward pass and x_t in its backward pass, which is a mistake.
@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...equations.numerics import sigmoid, sigmoid_slope
-from ...model import pull
+from ...model import with_backward
 from ...splatting import render
 from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
-LEAST_WEIGHT = 0.05
+MIN_WEIGHT = 0.05
 
 # What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. They
 # render up to 24 views in one iteration, here it is one. Without a network, motion takes more
@@ -84,21 +84,21 @@ class Gaussian4D(explicit.Explicit):
             "raw_l": arrays["raw_r"],
         }
 
-    def predict(self, t, x_c, iteration=explicit.FINISHED):
-        """See `Explicit`; only the Gaussians with a weight above LEAST_WEIGHT are returned."""
+    def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
+        """See `Explicit`; only the Gaussians with a weight above MIN_WEIGHT are returned."""
         p = self.parameters
         s = four_scales(p)
-        R, back_R = pull(rotation_4d, p["raw_l"], p["raw_r"])
-        (x, Sigma, var_t), back_conditional = pull(conditional, p["x"], p["mu_t"], s, R, t)
+        R, back_R = with_backward(rotation_4d, p["raw_l"], p["raw_r"])
+        (x, Sigma, var_t), back_conditional = with_backward(conditional, p["x"], p["mu_t"], s, R, t)
         opacity = sigmoid(p["logit_alpha"])
-        (alpha, weight), back_marginal = pull(marginal, opacity, p["mu_t"], var_t, t)
+        (alpha, weight), back_marginal = with_backward(marginal, opacity, p["mu_t"], var_t, t)
         color, back_color = self.colors(x, x_c, t, iteration)
-        seen = np.flatnonzero(weight > LEAST_WEIGHT)
+        rows = np.flatnonzero(weight > MIN_WEIGHT)
 
         def of_all(bar):
             """The cotangent of all Gaussians, zero for those that are not rendered."""
             full = np.zeros((len(weight), *bar.shape[1:]), bar.dtype)
-            full[seen] = bar
+            full[rows] = bar
             return full
 
         def back(x_bar, Sigma_bar, alpha_bar, color_bar):
@@ -117,7 +117,7 @@ class Gaussian4D(explicit.Explicit):
                 **back_R(moving["R"]),
             }
 
-        return GaussiansAt(x[seen], Sigma[seen], alpha[seen], color[seen], seen), back
+        return GaussiansAt(x[rows], Sigma[rows], alpha[rows], color[rows], rows), back
 
     def colors(self, x, x_c, t, iteration):
         """D2 of G4, and back(color_bar), the gradients of x_t, mu_t, sh_dc and sh_rest.
@@ -129,7 +129,7 @@ class Gaussian4D(explicit.Explicit):
         waves = min(max(in_time, 0), preset.waves)
         stored = np.concatenate([p["sh_dc"], p["sh_rest"]], axis=2)
         sh = stored.reshape(len(x), 3, preset.waves + 1, -1)[:, :, : waves + 1]
-        sh_t, back_sh = pull(spherindrical, sh, p["mu_t"], t)
+        sh_t, back_sh = with_backward(spherindrical, sh, p["mu_t"], t)
         at_t = {"sh_dc": sh_t[:, :, :1], "sh_rest": sh_t[:, :, 1:]}
         color, back_color = explicit.colors(preset, at_t, x, x_c, iteration)
 
@@ -148,11 +148,11 @@ class Gaussian4D(explicit.Explicit):
 
         return color, back
 
-    def draw(self, g, camera, settings, keep=True):
+    def render_gaussians(self, g, camera, settings, keep=True):
         """See `Explicit`."""
         looks = camera, self.background, settings, self.occlusion, keep
-        output, saved = render.draw(g.x, g.Sigma, g.alpha, g.color, *looks)
-        return output, partial(render.draw_backward, saved)
+        output, saved = render.from_covariances(g.x, g.Sigma, g.alpha, g.color, *looks)
+        return output, partial(render.from_covariances_backward, saved)
 
 
 def four_scales(p):

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...model import Gaussians, pull
+from ...model import Gaussians, with_backward
 from ...training.parameters import Adam, random_layers
 from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
@@ -80,17 +80,19 @@ class HexPlane(explicit.Explicit):
         inputs = F * len(preset.levels)
         return {**arrays, **first_network(rng, inputs, preset.hidden, preset.deformation_gain)}
 
-    def predict(self, t, x_c, iteration=explicit.FINISHED):
+    def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
         """See `Explicit`; in the coarse stage nothing moves."""
         p, preset = self.parameters, self.preset
         x, log_s, raw_r = p["x"], p["log_s"], p["raw_r"]
         moves = iteration >= preset.warm_up
         if moves:
             lo, hi = p["box"]
-            features, back_features = pull(plane_features, x, t, lo, hi, p.listed("planes"))
-            deltas, back_decoder = pull(plane_decoder, features, *p.network("psi"))
+            features, back_features = with_backward(
+                plane_features, x, t, lo, hi, p.listed("planes")
+            )
+            deltas, back_decoder = with_backward(plane_decoder, features, *p.network("psi"))
             x, log_s, raw_r = x + deltas[0], log_s + deltas[1], raw_r + deltas[2]
-        (s, r, alpha), back_stored = pull(activations, log_s, raw_r, p["logit_alpha"])
+        (s, r, alpha), back_stored = with_backward(activations, log_s, raw_r, p["logit_alpha"])
         color, back_color = explicit.colors(preset, p, x, x_c, iteration)
 
         def back(x_bar, s_bar, r_bar, alpha_bar, color_bar):
@@ -111,7 +113,7 @@ class HexPlane(explicit.Explicit):
         factors = self.preset.lambda_planes
         if iteration < self.preset.warm_up:
             return 0.0
-        losses, back = pull(plane_losses, self.parameters.listed("planes"))
+        losses, back = with_backward(plane_losses, self.parameters.listed("planes"))
         for i, bar in enumerate(back(*factors)["planes"]):
             gradients[f"planes.{i}"][...] += bar
         return float(np.dot(factors, losses))

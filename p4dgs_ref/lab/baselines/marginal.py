@@ -23,7 +23,7 @@ def forward(
 
 def backward(saved, alpha_t_bar, weight_bar):
     """Gradients of alpha, mu_t and var_t."""
-    alpha, weight, pull = saved
-    # The weight first: where it is 0, the square of `pull` may overflow.
-    slope = (alpha_t_bar * alpha + weight_bar) * weight * pull
-    return {"alpha": alpha_t_bar * weight, "mu_t": slope, "var_t": 0.5 * slope * pull}
+    alpha, weight, u = saved  # u = (t - mu_t) / var_t
+    # The weight first: where it is 0, the square of u may overflow.
+    slope = (alpha_t_bar * alpha + weight_bar) * weight * u
+    return {"alpha": alpha_t_bar * weight, "mu_t": slope, "var_t": 0.5 * slope * u}

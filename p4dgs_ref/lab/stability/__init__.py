@@ -1,23 +1,23 @@
 """Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
 
-Two things show them. The table of `cases.json` has the result of the literal formula, ours, the
-true value, errors and a verdict for each of its cases. The stability map shows the error of three
-formulas for Eq. (11) over distance and bin width.
+Two things show them. A table has the result of the literal formula, ours, the true value, errors
+and a verdict for each case. The stability map shows the error of three formulas for Eq. (11) over
+distance and bin width.
 
-`cases.json` is a list of calls of equations:
+Inputs, cotangents and true values are those of the published vectors, where a case has the same id.
+`hard_cases.json` adds one line a case:
 
     id          "H-R1.6sigma": the group H-R1, then which of its inputs
     equation    its key in the table of equations
     says        what is hard, and what the column "literal" shows
-    inputs      {"x": array}, and cotangents {"x_bar": array}
-    true        outputs {"x": array} and gradients {"x_bar": array}; NaN where there is none
     shown       (array, index) of the number that the table shows
-    literal     {dtype: the result of the printed formula, or of the usual shortcut}
-    bounds      {dtype: [largest error of outputs, of gradients or None]}, relative
+    literal     the result of the printed formula, or of the usual shortcut, in either precision
+    bounds      [largest error of outputs, of gradients or null] in either precision, relative
     each        outputs relative to each number, otherwise to the largest of the array
+    exact       [tensor, index, number] where the vectors hold this project's own gradient: the
+                number with the largest error, from 50 digits; null is not compared
 
-True values are correctly rounded from 50 digits, or closed forms. In a checkout,
-`python -m tests.golden.hard_cases.publish` writes the file.
+In a checkout, `python -m tests.golden.hard_cases.publish` writes the file.
 """
 
 import json
@@ -27,14 +27,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ...oracle import published
 from ...oracle.compare import cast
 from ...report.figures import pyplot, save_figure, write_csv
 from ...table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
-from ..writer import table
+from ..writer import text_table
 
-FILE = Path(__file__).with_name("cases.json")
+FILE = Path(__file__).with_name("hard_cases.json")
 SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them
 DTYPES = ("float64", "float32")
 COLUMNS = {
@@ -58,15 +59,23 @@ LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
 @cache
 def hard_cases():
     """{id: case}, in the order of the table."""
-    cases = json.loads(FILE.read_text(encoding="utf-8"), object_hook=as_array)
-    return {case["id"]: case for case in cases}
+    cases = json.loads(FILE.read_text(encoding="utf-8"))
+    keys = {case["equation"] for case in cases}
+    vectors = {vector.id: vector for key in keys for vector in published.cases(key)}
+    return {case["id"]: with_arrays(case, vectors) for case in cases}
 
 
-def as_array(value):
-    """The array that a JSON object with a shape stands for; any other object itself."""
-    if "shape" not in value:
-        return value
-    return np.array(value["numbers"], value["type"]).reshape(value["shape"])
+def with_arrays(case, vectors):
+    """A case with its inputs, cotangents and true values, {"x": array, "x_a_bar": array}."""
+    vector = vectors[f"{case['equation']}/{case['id']}"]
+    tensors = dict(vector.tensors)
+    for name, index, value in case.get("exact", []):
+        tensors[name] = tensors[name].copy()
+        tensors[name][tuple(index)] = np.nan if value is None else value
+    true = published.unflatten(tensors, "out.")
+    for name, a in published.unflatten(tensors, "in_bar.").items():
+        true[name + "_bar"] = a
+    return {**case, "inputs": vector.inputs(), "cotangents": vector.cotangents(), "true": true}
 
 
 def rows(only=None):
@@ -76,8 +85,8 @@ def rows(only=None):
     `judged`. Infinities and NaN are text.
     """
     cases = hard_cases().values()
-    chosen = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
-    if not chosen:
+    wanted = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
+    if not wanted:
         raise StudyError(f"--only {only}: expected a case, or its beginning up to a dot, like H-R1")
     return [
         {
@@ -85,25 +94,26 @@ def rows(only=None):
             "dtype": dtype,
             **measure(case, dtype),
         }
-        for case in chosen
+        for case in wanted
         for dtype in DTYPES
     ]
 
 
 def measure(case, dtype):
-    """Run an equation forward and backward on a case in one precision; returns what it found."""
+    """Run an equation on a case in one precision, both ways; returns the fields of `judged`."""
     equation, true = EQUATIONS[case["equation"]], case["true"]
     outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
     gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
     bars = {name + "_bar": a for name, a in gradients.items()}
     name, index = case["shown"]
+    which = DTYPES.index(dtype)
     return judged(
-        case["literal"][dtype],
+        case["literal"][which],
         pick({**outputs, **bars}[name], index),
         pick(true[name], index),
         worst(outputs, true, case["each"]),
         worst(bars, true, False),
-        *case["bounds"][dtype],
+        *case["bounds"][which],
     )
 
 
@@ -115,20 +125,20 @@ def judged(literal, ours, true, error, grad_error, bound, grad_bound):
     good = error <= bound and (grad_error is None or grad_error <= grad_bound)
     return {
         "literal": literal,
-        "ours": number(ours),
-        "true": number(true),
-        "error": number(error),
-        "grad_error": number(grad_error),
+        "ours": json_number(ours),
+        "true": json_number(true),
+        "error": json_number(error),
+        "grad_error": json_number(grad_error),
         "bound": bound,
         "grad_bound": None if grad_error is None else grad_bound,
         "verdict": "ok" if good else "fails",
     }
 
 
-def worst(found, true, each):
+def worst(arrays, true, each):
     """The largest error of all arrays with true values; None without any."""
     return max(
-        (relative(a, true[name], each) for name, a in found.items() if name in true), default=None
+        (relative(a, true[name], each) for name, a in arrays.items() if name in true), default=None
     )
 
 
@@ -139,7 +149,7 @@ def pick(values, index):
     return np.asarray(values)[tuple(index)]
 
 
-def number(value):
+def json_number(value):
     """A number that JSON can hold: infinities and NaN become text."""
     value = value.item() if isinstance(value, (np.ndarray, np.generic)) else value
     return str(value) if isinstance(value, float) and not np.isfinite(value) else value
@@ -162,12 +172,12 @@ def relative(got, want, each):
     return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max(initial=0))
 
 
-def describe(rows):
+def to_text(rows):
     """The table as text, and at the end the rows that fail."""
     shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
     failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
     end = f"{len(rows)} rows, {len(failed)} beyond their bounds"
-    return "\n".join([*table(COLUMNS, shown), "", end, *failed])
+    return "\n".join([*text_table(COLUMNS, shown), "", end, *failed])
 
 
 def as_text(name, value):
@@ -191,20 +201,20 @@ def maps():
     Errors are relative above 1e-6 bits, and infinite where a formula gives NaN or infinity.
     """
     z, w = np.meshgrid(*plane(), indexing="ij")
-    found = {}
+    errors = {}
     for dtype in DTYPES:
         for name in FORMULAS:
             error, _ = formulas.errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
             log = np.log10(np.maximum(error, 10.0 ** LEVELS[0]))
-            found[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
-    return found
+            errors[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
+    return errors
 
 
-def draw_maps(figure, axes, found, titles, **text):
+def draw_maps(figure, axes, errors, titles, **text):
     """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
     distances, widths = plane()
     colors, (low, high) = pyplot().get_cmap("viridis").with_extremes(over="red"), LEVELS
-    for ax, log, title in zip(axes.ravel(), found.values(), titles):
+    for ax, log, title in zip(axes.ravel(), errors.values(), titles):
         # An infinite error is above the levels, every finite one at or below them.
         shown = np.where(np.isinf(log), high + 1, np.minimum(log, high))
         mesh = ax.pcolormesh(
@@ -222,11 +232,11 @@ def draw_maps(figure, axes, found, titles, **text):
 
 def draw_map(path):
     """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
-    found = maps()
+    errors = maps()
     figure, axes = pyplot().subplots(
         2, 3, figsize=(8, 6.2), sharex=True, sharey=True, layout="constrained"
     )
-    draw_maps(figure, axes, found, map(", ".join, found), fontsize=11)
+    draw_maps(figure, axes, errors, map(", ".join, errors), fontsize=11)
     figure.suptitle(
         "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",
         fontsize=13,
@@ -234,7 +244,7 @@ def draw_map(path):
     save_figure(figure, path)
     rows = [
         (name, dtype, f"{z:.6g}", f"{w:.6g}", f"{value:.3f}")
-        for (name, dtype), log in found.items()
+        for (name, dtype), log in errors.items()
         for (z, w), value in zip(product(*plane()), log.ravel())
     ]
     columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]

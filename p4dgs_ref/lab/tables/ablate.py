@@ -19,11 +19,11 @@ from ...effects import MOTION
 from ...report.figures import write_csv
 from ...training.presets import TINY
 from .. import baselines
-from ..writer import means, seeds_of, table
+from ..writer import means, seeds_of, text_table
 from . import methods
 from .methods import CODED, OURS
 
-WHOLE, STILL = "+ quantisation and entropy coding", "no deformation"
+PAPER_METHOD, WITHOUT_MOTION = "+ quantisation and entropy coding", "no deformation"
 # The paper's Table 3, on T-Rex: MB, PSNR, and what a step changes of them, in percent and dB.
 PAPER = {
     "D3DGS": {"mb": 56.7, "psnr_db": 38.04},
@@ -39,13 +39,13 @@ PAPER = {
         "saved_percent": -25.8,
         "psnr_gain": -0.02,
     },
-    WHOLE: {"mb": 0.85, "psnr_db": 38.24, "saved_percent": -84.1, "psnr_gain": -0.10},
+    PAPER_METHOD: {"mb": 0.85, "psnr_db": 38.24, "saved_percent": -84.1, "psnr_gain": -0.10},
 }
 UNITS = {"saved_percent": "% of bytes", "psnr_gain": "dB"}  # of what a step changes
-ALWAYS = TINY.iterations  # later than every iteration
-UNRATED = {  # stage 3 goes on to the end, and the noise is too small to change anything
-    "stage_ends": (*TINY.stage_ends[:2], ALWAYS, ALWAYS),
-    "mask_from": ALWAYS,
+AFTER_LAST = TINY.iterations  # later than every iteration
+WITHOUT_RATE = {  # stage 3 goes on to the end, and the noise is too small to change anything
+    "stage_ends": (*TINY.stage_ends[:2], AFTER_LAST, AFTER_LAST),
+    "mask_from": AFTER_LAST,
     **dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), 2.0**-40),
 }
 AUTHORS = baselines.choose("d3dgs")
@@ -54,12 +54,12 @@ THEIR_NETWORK = ("deformation", "time_net", "skip", "L_x", "L_t")  # fields of t
 STEPS = {
     "D3DGS": {"method": "d3dgs"},
     "+ spatial prediction": {
-        "changes": {**UNRATED, "lr_d": AUTHORS.lr_d},
-        "design": {name: getattr(AUTHORS, name) for name in THEIR_NETWORK},
+        "changes": {**WITHOUT_RATE, "lr_d": AUTHORS.lr_d},
+        "network": {name: getattr(AUTHORS, name) for name in THEIR_NETWORK},
         "plain": (),
     },
-    "+ compact deformation MLP": {"changes": UNRATED, "plain": ("psi_d", "psi_t")},
-    WHOLE: {},
+    "+ compact deformation MLP": {"changes": WITHOUT_RATE, "plain": ("psi_d",)},
+    PAPER_METHOD: {},
     "+ coded networks and positions": {"method": CODED},
     "+ more anchors": {"method": CODED, "changes": {"anchors": 800, "lambda_rate": 0.001}},
 }
@@ -70,8 +70,8 @@ LEFT_OUT = {
         "zeros": tuple(f"psi_q.{kind}{len(TINY.context)}" for kind in "Wb"),
     },
     "global prior": {"changes": {"grid_3d": (1,), "grid_2d": ()}},  # one node: the same everywhere
-    "no masking": {"changes": {"mask_from": ALWAYS}},
-    STILL: {},
+    "no masking": {"changes": {"mask_from": AFTER_LAST}},
+    WITHOUT_MOTION: {},
 }
 COLUMNS = {
     "step": "{label}",
@@ -90,10 +90,11 @@ COLUMNS = {
 
 def plan(scene, folder, seeds=3, iterations=None):
     """The Tasks of all steps and seeds."""
-    still = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
+    still = [name for name in scene.effects if name not in MOTION]
+    scenes = {WITHOUT_MOTION: replace(scene, effects=still)}
     whole = methods.plan({OURS: [{}]}, [OURS], [scene], folder, seeds, iterations, "ablate")
     return [
-        task._replace(step=step, scene=still if step == STILL else scene)._replace(**changes)
+        task._replace(**{"step": step, "scene": scenes.get(step, scene), **changes})
         for step, changes in {**STEPS, **LEFT_OUT}.items()
         for task in whole
     ]
@@ -107,17 +108,17 @@ def collect(tasks, folder):
 
 
 def summaries(rows):
-    """Means over seeds, each step beside the one before it, parts left out beside WHOLE."""
-    found = {step["label"]: step for step in means(rows, "label")}
-    before = {**dict(zip([*STEPS][1:], STEPS)), **dict.fromkeys(LEFT_OUT, WHOLE)}
-    for name in before.keys() & found.keys():
-        step, other = found[name], found[before[name]]
+    """Means over seeds, each step beside the one before it, parts left out beside PAPER_METHOD."""
+    steps = {step["label"]: step for step in means(rows, "label")}
+    before = {**dict(zip([*STEPS][1:], STEPS)), **dict.fromkeys(LEFT_OUT, PAPER_METHOD)}
+    for name in before.keys() & steps.keys():
+        step, other = steps[name], steps[before[name]]
         step["saved_percent"] = 100 * (step["bytes"] / other["bytes"] - 1)
         step["psnr_gain"] = step["psnr_db"] - other["psnr_db"]
-    return [{**step, "paper": PAPER.get(name, {})} for name, step in found.items()]
+    return [{**step, "paper": PAPER.get(name, {})} for name, step in steps.items()]
 
 
-def unlike(steps):
+def disagreements(steps):
     """A sentence for each change of a step whose sign is not that of the paper."""
     return [
         f"{step['label']}: {step[name]:+.2f} {unit} here, {step['paper'][name]:+.2f} in the paper "
@@ -128,7 +129,7 @@ def unlike(steps):
     ]
 
 
-def describe(result):
+def to_text(result):
     """Table 3 in form with the paper's numbers beside it, then the parts left out."""
     rows = [
         {**step, "label": f"ours, {name}" if name in LEFT_OUT else name}
@@ -139,8 +140,8 @@ def describe(result):
         [
             f"{result['scene']}: {seeds_of(result['rows'])}. Changes are against the step before; "
             "those of parts left out are against the paper's whole method.",
-            *table(COLUMNS, rows),
-            *unlike(result["steps"]),
+            *text_table(COLUMNS, rows),
+            *disagreements(result["steps"]),
             "fixed step: psi_q is all zeros, but its bytes stay in the file; global prior: one "
             "grid node, so that all anchors have the same prior and step.",
         ]

@@ -13,9 +13,9 @@ from ...report.figures import draw_pictures, error_of, write_csv
 from ...scenes import load_scene, packaged_scenes
 from .. import baselines
 from ..clock import alternate, disturbance, stretch_of
-from ..writer import means, seeds_of, table
+from ..writer import means, seeds_of, text_table
 from . import methods
-from .methods import OURS, OWN
+from .methods import OUR_PRESETS, OURS
 
 TURNS = 5  # of the pictures that are timed
 # PSNR in dB, SSIM, MB and frames/s of the paper's Tables 1 and 2.
@@ -35,7 +35,10 @@ PAPER = {
 }
 KINDS = ("network", "gaussians")  # of bytes
 # Changes of the presets: every baseline also with colors that are the same from all sides.
-SIZES = {**dict.fromkeys(OWN, [{}]), **dict.fromkeys(baselines.METHODS, [{}, {"sh_degree": 0}])}
+SIZES = {
+    **dict.fromkeys(OUR_PRESETS, [{}]),
+    **dict.fromkeys(baselines.METHODS, [{}, {"sh_degree": 0}]),
+}
 BASELINES = (
     "The baselines ignore a scene's list of effects, but for occlusion, and have spherical "
     "harmonics of degree 3 where the row does not say another one (sh_degree)."
@@ -62,31 +65,30 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
     seeds - 1, and all methods take the same iterations. Raises StudyError for an unknown method.
     """
-    chosen = methods.known([OURS, *names] if names else [])
-    return methods.plan(SIZES, chosen, scenes, folder, seeds, iterations)
+    names = methods.known([OURS, *names] if names else [])
+    return methods.plan(SIZES, names, scenes, folder, seeds, iterations)
 
 
-def collect(tasks, folder, progress=lambda line: None):
+def collect(tasks, folder):
     """Time what the Tasks have made, and write compare.json, .csv and .png into a folder.
 
     Returns what compare.json holds.
     """
-    rows, shown, chosen = [], {}, [*dict.fromkeys(task.label for task in tasks)]
-    for start in range(0, len(tasks), len(chosen)):
-        own = tasks[start : start + len(chosen)]  # of one scene and seed
-        scene = own[0].scene
-        progress(f"{scene.name}: times of rendering")
-        models = {task.label: methods.load(task.path) for task in own}
+    rows, shown, labels = [], {}, [*dict.fromkeys(task.label for task in tasks)]
+    for start in range(0, len(tasks), len(labels)):
+        group = tasks[start : start + len(labels)]  # of one scene and seed
+        scene = group[0].scene
+        models = {task.label: methods.load(task.path) for task in group}
         speeds = rendering(scene.test, models)
-        rows += [{**row, **speeds[row["label"]]} for row in methods.made(own)]
+        rows += [{**row, **speeds[row["label"]]} for row in methods.made(group)]
         shown.setdefault(scene.name, (scene.test, models))
     result = {
         "methods": rows,
         "summary": [
-            {**row, "paper": {name: own.get(row["label"], "-") for name, own in PAPER.items()}}
+            {**row, "paper": {name: cells.get(row["label"], "-") for name, cells in PAPER.items()}}
             for row in means(rows, "label")
         ],
-        "against": [against(rows, name) for name in chosen[1:]],
+        "against": [against(rows, name) for name in labels[1:]],
         "stretch": stretch_of(rows),
     }
     (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n")
@@ -127,7 +129,7 @@ def against(rows, label):
     }
 
 
-def describe(result):
+def to_text(result):
     """Tables 1 and 2 in form, a table for each scene, and what the ratios mean."""
     rows = result["methods"]
     scenes = dict.fromkeys(row["scene"] for row in rows)
@@ -136,11 +138,11 @@ def describe(result):
         "(also planes and hash grid) and Gaussians. The paper's columns: dB, SSIM, MB, frames/s, "
         "on its scenes and graphics card.",
         BASELINES,
-        *table({"method": "{label}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
+        *text_table({"method": "{label}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
     ]
     for scene in scenes if len(scenes) > 1 else ():
-        own = [row for row in means(rows, "scene", "label") if row["scene"] == scene]
-        lines += ["", *table({scene: "{label}", **COLUMNS}, own)]
+        of_scene = means([row for row in rows if row["scene"] == scene], "label")
+        lines += ["", *text_table({scene: "{label}", **COLUMNS}, of_scene)]
     lines += ["", *map(sentence, result["against"]), disturbance(result["stretch"])]
     return "\n".join(lines).rstrip()
 
@@ -165,8 +167,8 @@ def draw_grid(path, shown):
     rows = []
     for name, (views, models) in shown.items():
         view = sorted(views, key=lambda view: view.time)[len(views) // 2]
-        drawn = [np.clip(model.render(view.camera, view.time), 0, 1) for model in models.values()]
-        images = [view.image, *drawn]
+        drawn = [model.render(view.camera, view.time) for model in models.values()]
+        images = [view.image, *np.clip(drawn, 0, 1)]
         rows.append((f"{name}, t = {view.time:.2f}", [*zip(images, ("truth", *models))]))
         rows.append(("absolute error", [error_of(image, view.image) for image in images]))
     draw_pictures(path, "one test view of each scene, not used in training", rows)

@@ -8,10 +8,10 @@ quality.
 from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, pyplot, save_figure, write_csv
 from ...report.inspect import components
 from .. import baselines
-from ..writer import bd_rate, envelope, factors, front, means, seeds_of, table
+from ..writer import bd_rate, envelope, factors, front, means, seeds_of, text_table
 from . import methods
 from .compare import BASELINES
-from .methods import CODED, OURS, OWN
+from .methods import CODED, OUR_PRESETS, OURS
 
 # The points of each method. To add one, add a row; `preset` names another preset to start from.
 # Table 4 is about the first two.
@@ -38,7 +38,7 @@ SIZES = {
 COLORS = dict(zip(SIZES, (LIGHT_BLUE, BLUE, RED, *STACK[1:])))
 DRAWN = {"bytes": "bytes of the file", "anchor_bytes": "bytes of the coded anchors"}
 EDGE = "the envelope"  # of the explicit methods
-RIVAL, MOST_BYTES = "d3dgs_small", 30_000  # our best point of that size stands against its best
+RIVAL, MAX_BYTES = "d3dgs_small", 30_000  # our best point of that size stands against its best
 COLUMNS = {
     "point": "{label}",
     "seeds": "{seeds}",
@@ -93,21 +93,20 @@ def plan(scenes, folder, names=(), seeds=3, iterations=None):
     `names` are those of methods, nothing means all; our two designs are always there. Raises
     StudyError for an unknown method.
     """
-    chosen = methods.known([*OWN, *(names or baselines.METHODS)])
-    return methods.plan(SIZES, chosen, scenes, folder, seeds, iterations, "compare --curve")
+    names = methods.known([*OUR_PRESETS, *(names or baselines.METHODS)])
+    return methods.plan(SIZES, names, scenes, folder, seeds, iterations, "compare --curve")
 
 
-def collect(tasks, folder, progress=lambda line: None):
+def collect(tasks, folder):
     """Draw what the Tasks have made; returns the points and how ours compare with the others.
 
     The files are curve.csv, curve.png, and composition.csv of two files of the first scene.
     """
-    progress("the curve")
     rows = methods.made(tasks)
     write_csv(folder / "curve.csv", rows)
     points, curves, title = read(rows)
     edge = curves[EDGE]
-    draw(folder / "curve.png", points, edge, title)
+    draw_curves(folder / "curve.png", points, edge, title)
     parts = composition([task.path for task in tasks[:2]])
     write_csv(folder / "composition.csv", parts)
     return {
@@ -134,7 +133,7 @@ def read(rows):
         name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
         for name in dict.fromkeys(row["method"] for row in points)
     }
-    edge = envelope([curve for name, curve in curves.items() if name not in OWN])
+    edge = envelope([curve for name, curve in curves.items() if name not in OUR_PRESETS])
     title = f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
     return points, {EDGE: edge, **curves}, title
 
@@ -146,25 +145,27 @@ def against(name, ours, others):
 
 
 def best(rows, points):
-    """Our best point of at most MOST_BYTES beside the best of RIVAL; a row for each scene.
+    """Our best point of at most MAX_BYTES beside the best of RIVAL; a row for each scene.
 
     Both are chosen by the mean over the scenes. Without one of them there is no row.
     """
-    small = [row for row in points if row["method"] == CODED and row["bytes"] <= MOST_BYTES]
-    theirs = [row for row in points if row["method"] == RIVAL]
-    if not (small and theirs):
+    groups = [
+        [row for row in points if row["method"] == CODED and row["bytes"] <= MAX_BYTES],
+        [row for row in points if row["method"] == RIVAL],
+    ]
+    if not all(groups):
         return []
-    pair = [max(own, key=lambda row: row["psnr_db"])["label"] for own in (small, theirs)]
+    pair = [max(group, key=lambda row: row["psnr_db"])["label"] for group in groups]
     by_scene = [means([row for row in rows if row["label"] == one], "scene") for one in pair]
     return [
         {
-            **own,
+            **ours,
             "their_psnr_db": other["psnr_db"],
             "their_bytes": other["bytes"],
-            "psnr_gain": own["psnr_db"] - other["psnr_db"],
+            "psnr_gain": ours["psnr_db"] - other["psnr_db"],
             "points": " against ".join(pair),
         }
-        for own, other in zip(*by_scene)
+        for ours, other in zip(*by_scene)
     ]
 
 
@@ -192,7 +193,7 @@ def composition(files):
     ]
 
 
-def draw(path, points, edge, title):
+def draw_curves(path, points, edge, title):
     """PSNR over the bytes of the file, and over those of the coded anchors alone."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
@@ -208,8 +209,8 @@ def draw(path, points, edge, title):
             minor_formatter=NullFormatter(),
         )
         for method in dict.fromkeys(row["method"] for row in points if size in row):
-            own = [row for row in points if row["method"] == method]
-            x, y, spread = ([r[name] for r in own] for name in (size, "psnr_db", "psnr_db_spread"))
+            rows = [row for row in points if row["method"] == method]
+            x, y, spread = ([r[name] for r in rows] for name in (size, "psnr_db", "psnr_db_spread"))
             ax.errorbar(x, y, spread, fmt="o", color=COLORS[method], label=method)
             ax.plot(*front(zip(x, y)).T, color=COLORS[method], alpha=0.5)
     axes[0].set(ylabel="PSNR of the test views (dB)", title=title)
@@ -219,27 +220,24 @@ def draw(path, points, edge, title):
     save_figure(figure, path)
 
 
-def describe(result):
+def to_text(result):
     """The points, ours against the others, the best small point by scene, and Table 4 in form."""
     days = sorted(row["made"] for row in result["rows"])
     lines = [
         f"{result['title']}; made {days[0]} to {days[-1]}. Every point is a mean.",
         BASELINES,
-        *table(COLUMNS, result["points"]),
+        *text_table(COLUMNS, result["points"]),
         f"The envelope of the explicit methods: {', '.join(result['envelope']) or 'none'}.",
         "",
         f"Others against {CODED}, at every PSNR that both reach:",
-        *table(AGAINST, result["against"]),
+        *text_table(AGAINST, result["against"]),
     ]
     if result["best"]:
-        lines += ["", f"At most {MOST_BYTES:,} bytes: {result['best'][0]['points']}"]
-        lines += table(BEST, result["best"])
+        lines += ["", f"At most {MAX_BYTES:,} bytes: {result['best'][0]['points']}"]
+        lines += text_table(BEST, result["best"])
     low, high = result["composition"]["lambda_rate"]
-    return "\n".join(
-        [
-            *lines,
-            "",
-            f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
-            *table(TABLE_4, result["composition"]["rows"]),
-        ]
-    )
+    lines += [
+        "",
+        f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
+    ]
+    return "\n".join([*lines, *text_table(TABLE_4, result["composition"]["rows"])])

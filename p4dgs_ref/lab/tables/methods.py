@@ -18,27 +18,29 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import designs, output
+from ... import model as paper
 from ...arithmetic import arithmetic
-from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
-from ...model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
+from ...codec.file import ATTRIBUTE_SECTIONS
+from ...designs import PRESETS, choose, decode, encode
+from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
-from ...scenes import Scene, output
+from ...scenes import Scene
 from ...scenes.files import read_json
 from ...scenes.scene import require
 from ...training.fit import fingerprint
-from ...training.initial import design_of
 from ...training.parameters import Parameters
-from ...training.presets import PRESETS, TINY_REAL, choose, differences
-from ...training.trainer import Trainer
-from .. import StudyError, baselines
+from ...training.presets import TINY_REAL, differences
+from .. import baselines, entry
 from ..accuracy.harness import shortened
+from ..baselines import d3dgs_network
 from ..clock import clocked
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
-OWN = {OURS: "tiny", CODED: "tiny_coded"}  # their presets
+OUR_PRESETS = {OURS: "tiny", CODED: "tiny_coded"}
 KNOBS = ("lambda_rate", "sh_degree")  # fields of presets that stand in the rows
 # The fields of the baselines' presets that are counted in iterations.
 DATES = (
@@ -66,14 +68,14 @@ class Task(NamedTuple):
     study: str = "compare"  # the command of which it is a row
     # Of the ablation's steps, which train our method in another form:
     step: str | None = None  # the name of the step
-    design: dict = {}  # changes of the Design
+    network: dict = {}  # fields of the Design that are those of D3DGS's network
     zeros: tuple = ()  # parameters that start at zero
     plain: tuple | None = None  # in a plain file; the networks that are float16 there
 
     @property
-    def own(self):
+    def is_ours(self):
         """Whether it is one of our designs, not a baseline."""
-        return self.method in OWN
+        return self.method in OUR_PRESETS
 
     @property
     def label(self):
@@ -84,16 +86,15 @@ class Task(NamedTuple):
     @property
     def path(self):
         """The file."""
-        name = f"{self.scene.name} {self.label} seed{self.seed}"
-        name = name.replace("+ ", "").replace(" ", "_").replace("/", "_")
-        ending = ("p4dgs" if self.plain is None else "npy") if self.own else "ply"
-        return Path(self.folder) / f"{name}.{ending}"
+        name = f"{self.scene.name} {self.label} seed{self.seed}".replace("+ ", "")
+        ending = ("p4dgs" if self.plain is None else "npy") if self.is_ours else "ply"
+        return Path(self.folder) / f"{name.replace(' ', '_').replace('/', '_')}.{ending}"
 
     @property
     def command(self):
         """What makes the file: one training of ours, else the study of which it is a row."""
         scene, seed = self.scene.name, self.seed
-        if self.own and not self.step:
+        if self.is_ours and not self.step:
             preset = preset_of(self)
             changes = "".join(
                 f" --set {field}={text_of(value)}"
@@ -103,9 +104,9 @@ class Task(NamedTuple):
                 f"p4dgs-ref train {scene} --preset {preset.name} --seed {seed}{changes} -o run && "
                 f"p4dgs-ref encode run -o '{self.path.name}'"
             )
-        chosen = "" if self.step else f" --method {self.method}"
-        length = f" --iterations {self.iterations}" if self.iterations else ""
-        return f"p4dgs-ref {self.study} {scene}{chosen} --seeds {seed + 1}{length} --yes"
+        method = f" --method {self.method}" * (not self.step)
+        length = f" --iterations {self.iterations}" * bool(self.iterations)
+        return f"p4dgs-ref {self.study} {scene}{method} --seeds {seed + 1}{length} --yes"
 
     @property
     def record(self):
@@ -123,10 +124,9 @@ def known(names):
 
     Raises StudyError for an unknown one.
     """
-    methods = (*OWN, *baselines.METHODS)
+    methods = {**OUR_PRESETS, **baselines.METHODS}
     for name in names:
-        if name not in methods:
-            raise StudyError(f"method {name!r}: expected one of {', '.join(methods)}")
+        entry(methods, "method", name)
     return [name for name in methods if (name in names if names else name != CODED)]
 
 
@@ -137,14 +137,14 @@ def preset_of(task):
     Gaussians with which it starts.
     """
     changes = dict(task.changes)
-    preset = changes.pop("preset", OWN.get(task.method))
-    if task.own:
+    preset = changes.pop("preset", OUR_PRESETS.get(task.method))
+    if task.is_ours:
         # As in `tiny_real`: points know their depth, and anchors keep it.
         real = {} if task.scene.points is None else {"lr_x": TINY_REAL.lr_x}
         ours = choose(preset, {**real, **changes})
         return shortened(ours, (task.iterations or ours.iterations) / ours.iterations)
-    most = {"most": number for field, number in changes.items() if field == "gaussians"}
-    theirs = baselines.choose(task.method, preset, {**most, **changes})
+    limit = {"most": count for field, count in changes.items() if field == "gaussians"}
+    theirs = baselines.choose(task.method, preset, {**limit, **changes})
     share = (task.iterations or theirs.iterations) / theirs.iterations
     dates = {name: getattr(theirs, name) for name in DATES if hasattr(theirs, name)}
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
@@ -173,21 +173,23 @@ def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare"
 def trainer_of(task):
     """The Trainer of a task before its first step."""
     preset = preset_of(task)
-    if not task.own:
+    if not task.is_ours:
         return baselines.module_of(task.method)[0].Trainer(task.scene, preset, task.seed)
-    design = design_of(preset, task.scene.effects)._replace(**task.design)
-    trainer = Trainer(task.scene, preset, task.seed, design=design)
+    if task.network:
+        trainer = d3dgs_network.Trainer(task.scene, preset, task.seed, task.network)
+    else:
+        trainer = designs.trainer_of(task.scene, preset, task.seed)
     for name in task.zeros:
         trainer.parameters[name][...] = 0
     return trainer
 
 
 def trainers(tasks):
-    """Pairs of a Trainer and the number of tasks that differ from its own in the seed alone."""
+    """Pairs of a Trainer and the number of tasks that differ from its task in the seed alone."""
     alike = {}
     for task in tasks:
         alike.setdefault(task._replace(seed=0).path, []).append(task)
-    return [(trainer_of(own[0]), len(own)) for own in alike.values()]
+    return [(trainer_of(group[0]), len(group)) for group in alike.values()]
 
 
 def fit(task):
@@ -198,7 +200,7 @@ def fit(task):
 
 def write(task, model):
     """Write the file of a task; returns its bytes by kind."""
-    if not task.own:
+    if not task.is_ours:
         return model.save(task.path)
     if task.plain is not None:
         return save_plain(model, task.path, task.plain)
@@ -295,24 +297,23 @@ def save_plain(model, path, half=()):
     """Write the file and return its bytes by kind, like a baseline's."""
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
     network = {
-        f"{name}.{kind}{i}": a
+        key: a
         for name, layers in model.networks.items()
         if name not in CONTEXT_NETWORKS
-        for kind, arrays in zip("Wb", layers)
-        for i, a in enumerate(arrays)
+        for key, a in baselines.explicit.of_network(name, *layers).items()
     }
     values = {**gaussians, **network, "background": model.background}
     types = [
         (name, "f2" if name.split(".")[0] in half else "f4", a.shape) for name, a in values.items()
     ]
-    design = str(model.design._asdict())
+    design = str(vars(model.design))
     record = np.array((*values.values(), design), [*types, ("design", f"S{len(design)}")])
     output.write_atomically(path, lambda file: np.save(file, record))
-    sizes = [sum(record[name].nbytes for name in part) for part in (gaussians, network)]
+    anchors, weights = (sum(record[n].nbytes for n in part) for part in (gaussians, network))
     return {
-        "gaussians": sizes[0],
-        "network": sizes[1],
-        "other": path.stat().st_size - sum(sizes),
+        "gaussians": anchors,
+        "network": weights,
+        "other": path.stat().st_size - anchors - weights,
     }
 
 
@@ -324,6 +325,7 @@ def load_plain(path):
     attributes = [p[name] for name in Anchors._fields[:-1]]
     anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
     networks = dict.fromkeys(name.split(".")[0] for name in names if "." in name)
-    design = Design(**literal_eval(record["design"].item().decode()))
+    design = literal_eval(record["design"].item().decode())
+    form = d3dgs_network if "time_net" in design else paper
     box, networks = bounding_box(anchors.x_a), {name: p.network(name) for name in networks}
-    return Model(design, anchors, networks, [], box, p["background"])
+    return form.Model(form.Design(**design), anchors, networks, [], box, p["background"])

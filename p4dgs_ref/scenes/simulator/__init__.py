@@ -11,15 +11,14 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from ...output import filled, new_file
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
-from ..output import filled, new_file
 from . import trace
-from .description import describe
+from .description import read_description
 
 # Multiples of these two, modulo 1, spread evenly and never fall in step with each other.
-GOLDEN = 0.6180339887498949
-PLASTIC = 0.7548776662466927
+GOLDEN, PLASTIC = 0.6180339887498949, 0.7548776662466927
 
 
 def simulate(
@@ -34,7 +33,7 @@ def simulate(
     description that cannot be drawn, OutputError for a folder that cannot be written to or whose
     scene.json is the one that is drawn.
     """
-    description = describe(scene_json)
+    description = read_description(scene_json)
     source = None if isinstance(scene_json, dict) else Path(scene_json)
     text = source.read_text(encoding="utf-8") if source else json.dumps(scene_json, indent=1) + "\n"
     views = {split: place_cameras(description, split) for split in ("train", "test")}
@@ -112,13 +111,17 @@ def transforms(split, posed):
         "w": camera.width,
         "h": camera.height,
     }
-    frames = []
-    for i, (camera, t) in enumerate(posed):
-        c2w = np.eye(4)
-        c2w[:3] = np.column_stack([camera.R.T * OPENGL_TO_OPENCV, camera.center])
-        frames.append(
-            {"file_path": f"./{split}/r_{i:03d}", "time": t, "transform_matrix": c2w.tolist()}
-        )
+    frames = [
+        {
+            "file_path": f"./{split}/r_{i:03d}",
+            "time": t,
+            "transform_matrix": [
+                *np.column_stack([camera.R.T * OPENGL_TO_OPENCV, camera.center]).tolist(),
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+        }
+        for i, (camera, t) in enumerate(posed)
+    ]
     return (
         json.dumps(head)[:-1]
         + ',\n "frames": [\n  '

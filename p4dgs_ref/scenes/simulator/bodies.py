@@ -182,9 +182,9 @@ def poses(bodies, effects, t, viewer):
     motion whose effect is not listed is not computed. `faces_camera`, the simulator's form of
     view_geometry, turns a body to the viewer.
     """
-    found = {}
+    placed = {}
     for body in bodies:
-        base = found.get(body.parent, Pose(np.eye(3), np.zeros(3), 1.0))
+        base = placed.get(body.parent, Pose(np.eye(3), np.zeros(3), 1.0))
         turned = base.R @ turn(body.turn.axis, body.turn.degrees)
         moved = {"translation": body.position, "rotation": turned, "scaling": 1.0}
         for motion in body.motion:
@@ -195,5 +195,5 @@ def poses(bodies, effects, t, viewer):
         T = base.T + base.R @ offset
         if body.faces_camera and "view_geometry" in effects:
             R = facing(T, viewer)
-        found[body.name] = Pose(R, T, scale)
-    return found
+        placed[body.name] = Pose(R, T, scale)
+    return placed

@@ -12,17 +12,17 @@ import numpy as np
 
 from ..fields import REQUIRED, choice, fields, list_of, numbers, one_of, require, text, typed
 from ..files import read_json
-from ..scene import COLOR, FARTHEST, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
+from ..scene import COLOR, MAX_COORDINATE, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
 
-def direction(found, where):
+def direction(value, where):
     """Three numbers that are not all zero."""
-    axis = POINT(found, where)
-    require(axis.any(), where, f"{found!r}; expected a direction, not zero")
+    axis = POINT(value, where)
+    require(axis.any(), where, f"{value!r}; expected a direction, not zero")
     return axis
 
 
-POSITIVE = partial(numbers, low=1e-6, high=FARTHEST)
+POSITIVE = partial(numbers, low=1e-6, high=MAX_COORDINATE)
 COUNT = partial(numbers, low=1, high=100_000, kind=int)
 SIZE = partial(numbers, low=1, high=4096, shape=(2,), kind=int)
 ELEVATION = partial(numbers, low=-89, high=89, shape=(2,))
@@ -108,7 +108,7 @@ SCENE = {
 }
 
 
-def describe(source):
+def read_description(source):
     """The checked description, a namespace with the fields of SCENE, from a file or a dictionary.
 
     Raises SceneError with one line that names the file, the field and what was expected.

@@ -32,14 +32,14 @@ def trace(description, camera, t):
     bodies, directions = description.bodies, rays(camera)
     where = poses(bodies, effects, t, viewer)
     hits = np.array([hit(body, where[body.name], viewer, directions) for body in bodies])
-    seen = np.isfinite(hits)
-    covered = seen.any(axis=0) if "background" in effects else None
+    visible = np.isfinite(hits)  # [bodies, rays]
+    covered = visible.any(axis=0) if "background" in effects else None
     if "occlusion" in effects:
-        seen = nearest(hits)
+        visible &= nearest(hits)
     color = np.zeros(directions.shape)
-    for body, distance, chosen in zip(bodies, hits, map(np.flatnonzero, seen)):
-        x = viewer + distance[chosen, None] * directions[chosen]
-        color[chosen] += shade(body, where[body.name], x, viewer, description.light, effects)
+    for body, distance, rows in zip(bodies, hits, map(np.flatnonzero, visible)):
+        x = viewer + distance[rows, None] * directions[rows]
+        color[rows] += shade(body, where[body.name], x, viewer, description.light, effects)
     return develop(color, covered, camera)
 
 
@@ -50,8 +50,8 @@ def rays(camera):
         np.arange(camera.height), np.arange(camera.width), inside, inside, indexing="ij"
     )
     x, y = (u + du - camera.c_x) / camera.f_x, (v + dv - camera.c_y) / camera.f_y
-    d = np.stack([x, y, np.ones(u.shape)], axis=-1)
-    return unit(d.reshape(-1, 3) @ camera.R)  # R maps world to camera; its transpose maps back
+    # R maps world to camera; its transpose maps back
+    return unit(np.stack([x, y, np.ones(u.shape)], axis=-1).reshape(-1, 3) @ camera.R)
 
 
 def unit(v):
@@ -66,8 +66,8 @@ def hit(body, pose, origin, directions):
 
 
 def nearest(hits):
-    """Which body every ray meets first [bodies, rays], from its distances to all of them."""
-    return np.isfinite(hits) & (hits.argmin(axis=0) == np.arange(len(hits))[:, None])
+    """Which body is the nearest along every ray [bodies, rays], from its distances to all."""
+    return hits.argmin(axis=0) == np.arange(len(hits))[:, None]
 
 
 def shade(body, pose, x, viewer, light, effects):
@@ -75,7 +75,9 @@ def shade(body, pose, x, viewer, light, effects):
     local = (x - pose.T) @ pose.R / pose.scale
     color = np.broadcast_to(body.color, x.shape)
     if body.texture is not None and "texture" in effects:
-        color = textured(body, local)
+        # Read just below the surface: a face on the border of cells then has one colour.
+        mix = TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
+        color = (1 - mix) * body.color + mix * body.texture.color
     shiny = body.specular is not None and "specular" in effects
     if not shiny and "diffuse" not in effects:
         return color
@@ -90,15 +92,6 @@ def shade(body, pose, x, viewer, light, effects):
         to_viewer = viewer - x if "view_color" in effects else np.broadcast_to(UP, x.shape)
         color = color + specular(body.specular, normal, to_light, facing, unit(to_viewer))
     return color
-
-
-def textured(body, local):
-    """The two colours of the body in the pattern of its texture.
-
-    The pattern is read just below the surface: a face on the border of cells then has one colour.
-    """
-    mix = TEXTURES[body.texture.kind](body.texture, local * (1 - 1e-6))[:, None]
-    return (1 - mix) * body.color + mix * body.texture.color
 
 
 def diffuse(color, facing, ambient):

@@ -1,4 +1,4 @@
-"""The catalogue of hard cases: how its inputs are made, and its true values to 50 digits.
+"""The catalogue of hard cases: how its inputs are made, and what the usual formulas make of them.
 
-The package holds the same cases as data; `python -m tests.golden.hard_cases.publish` writes them.
+The cases are published as vectors; `publish` writes what `p4dgs-ref stability` shows besides.
 """

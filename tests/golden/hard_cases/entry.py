@@ -18,18 +18,13 @@ class Entry(NamedTuple):
     """One row of the catalogue with one of its inputs."""
 
     id: str  # "H-R1.6sigma": the row, then which of its inputs
-    equation: str  # key of an equation, or the part of the package that a procedure is about
+    equation: str  # its key
     says: str  # what is hard, and what the column "literal" shows
-    case: Case | None = None  # None for a procedure, in `procedures` or `coding`
-    shown: tuple = ()  # (array, index) of the number in the table
-    literal: Callable | None = None  # the usual formula, of inputs and cotangents
-    bounds: dict = {}  # {dtype: [of the outputs, of the gradients or None]}, relative
-    each: bool = True  # outputs relative to each number, otherwise to the largest of the array
-
-
-def procedures(*rows):
-    """Entries (id, equation, says) that take more than one call of an equation."""
-    return [Entry(*row) for row in rows]
+    case: Case
+    shown: tuple  # (array, index) of the number in the table
+    literal: Callable  # the usual formula, of inputs and cotangents
+    bounds: dict  # {dtype: [of the outputs, of the gradients or None]}, relative
+    each: bool  # outputs relative to each number, otherwise to the largest of the array
 
 
 def single(value):
@@ -45,7 +40,7 @@ def hard(
     shown,
     literal,
     flags,
-    expected=None,  # closed forms; without them the 50-digit constants are the truth
+    expected=None,  # closed forms
     smooth=True,
     value=None,  # bound of the outputs in float64 and float32
     grad=None,  # bound of the gradients likewise

@@ -5,11 +5,11 @@ import numpy as np
 from p4dgs_ref.lab.random_inputs import random_anchor_network, random_field
 
 from . import literals
-from .entry import hard, procedures
+from .entry import hard
 
 
 def view_entries():
-    """H-P1, and what the search found beside it."""
+    """H-P1, and what a search found beside it."""
     yield hard(
         "H-P1.inside",
         "view",
@@ -75,14 +75,6 @@ def motion_entries():
             ("zero",) if t == 0 else ("outside",),
             each=False,
         )
-    yield from procedures(
-        (
-            "H-P3.bad_time",
-            "scene",
-            "a time of NaN (one frame: t = i / (frames - 1) is 0/0), or outside the recording",
-        ),
-        ("H-P3.still", "deformed", "a scene in which nothing moves: the same bits at any time"),
-    )
     for L in (10, 16, 20):
         yield hard(
             f"H-P4.L{L}",
@@ -216,19 +208,10 @@ def loss_entries():
             "r_bar": np.zeros((3, 2, 4)),
         },
     )
-    yield from procedures(
-        ("H-P10.nothing_coded", "rate_loss", "no numbers to code: 0/0 bits per number"),
-        ("H-P8.psnr", "evaluate", "PSNR of identical images: log 0"),
-        (
-            "H-P9.adam",
-            "adam",
-            "epsilon 1e-15 and a gradient of 2^-100 after 1e5 steps without one: a huge step",
-        ),
-    )
 
 
 def saturated_entries():
-    """H-S1, found by the search: slopes where tanh and the sigmoid round to their limit."""
+    """H-S1, found by a search: slopes where tanh and the sigmoid round to their limit."""
     inputs = random_anchor_network(np.random.default_rng(6), A=2, d=2, k=2)
     inputs["weights"][-1] *= 0
     inputs["biases"][-1][...] = [9.0, -17.0]

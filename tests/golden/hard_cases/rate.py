@@ -3,7 +3,7 @@
 import numpy as np
 
 from . import literals
-from .entry import hard, procedures
+from .entry import hard
 
 BITS = dict(value=(1e-12, 2e-6), grad=(1e-12, 2e-6))  # what the project promises for Eq. (11)
 NARROW = 2.0**-13  # about 1e-4, and exact
@@ -144,15 +144,5 @@ def rounding_entries():
 def entries():
     """All of them, in the order of the table."""
     yield from rate_entries()
-    yield from procedures(
-        (
-            "H-R5.seams",
-            "likelihood",
-            "the limits between the regimes of Eq. (11): no jump in value or slope; literal jumps",
-        )
-    )
     yield from floor_entries()
-    yield from procedures(
-        ("H-R7.sum", "anchor_rate", "1e8 bits added up; literal adds one after the other")
-    )
     yield from rounding_entries()

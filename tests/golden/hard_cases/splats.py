@@ -3,7 +3,7 @@
 import numpy as np
 
 from . import literals
-from .entry import hard, procedures, single
+from .entry import hard, single
 
 VIEW = dict(
     W=np.eye(3),
@@ -106,21 +106,6 @@ def shape_entries():
             grad=(1e-12, 1e-6),
             each=False,
         )
-    yield from procedures(
-        (
-            "H-G3.needle",
-            "render",
-            "a needle 1e13 times longer than thin, in a picture; literal is a c - b^2 of Sigma",
-        ),
-        *(
-            (
-                f"H-G4.{name}",
-                "projection",
-                f"a covariance with {name}: that Gaussian alone is culled, with gradient 0",
-            )
-            for name in ("inf", "nan")
-        ),
-    )
 
 
 def _symmetric(Sigma):
@@ -161,13 +146,6 @@ def turned_entries():
             literals.plainly_normalised,
             ("normalise", "extreme"),
         )
-    yield from procedures(
-        (
-            "H-G5.opposite",
-            "covariance",
-            "q and -q: the same covariance to the bit, opposite gradients",
-        )
-    )
 
 
 def _layers(alpha, n=1, depth=None):
@@ -237,27 +215,3 @@ def entries():
     yield from shape_entries()
     yield from turned_entries()
     yield from layer_entries()
-    yield from procedures(
-        (
-            "H-G8.permuted",
-            "compositing",
-            "the same Gaussians in another order of input: the same image",
-        ),
-        (
-            "H-G6.footprint_edge",
-            "fast",
-            "alpha one ulp beside 1/255: listed by tiles in float64; literal compares in float32",
-        ),
-        ("H-G9.nothing", "fast", "no Gaussians, none visible, one pixel, a width of half a tile"),
-        (
-            "H-G10.whole_image",
-            "fast",
-            "one splat over 3840 x 2160 against the closed form; 30,000 of them are refused before "
-            "they take memory",
-        ),
-        (
-            "H-G11.tiles",
-            "fast",
-            "tiles of 1, 8, 16 pixels and the whole image; literal is the 3-sigma box",
-        ),
-    )

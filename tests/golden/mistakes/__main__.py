@@ -31,12 +31,12 @@ def answers(mistake, case):
 
 def wrong_tensors(mistake):
     """Return {"<mistake>/<case>/<tensor>": array} of every tensor that a mistake gets wrong."""
-    found = {}
+    tensors = {}
     for case in (c for c in published.cases(mistake.subject) if c.name not in mistake.noisy):
         got = answers(mistake, case)
         for finding in compare(case.tensors, got, case.tolerance("float64")):
-            found[f"{mistake.id}/{case.name}/{finding.tensor}"] = got[finding.tensor]
-    return found
+            tensors[f"{mistake.id}/{case.name}/{finding.tensor}"] = got[finding.tensor]
+    return tensors
 
 
 def files():
@@ -46,10 +46,10 @@ def files():
         fields = ["id", "subject", "equation", "description", *["noisy"] * bool(mistake.noisy)]
         rows.append({name: getattr(mistake, name) for name in fields})
         tensors.setdefault(mistake.subject, {}).update(wrong_tensors(mistake))
-    found = {"mistakes.json": (json.dumps(rows, indent=1) + "\n").encode()}
+    contents = {"mistakes.json": (json.dumps(rows, indent=1) + "\n").encode()}
     for subject, arrays in tensors.items():
-        found[f"{subject}.safetensors.gz"] = packed(arrays)
-    return found
+        contents[f"{subject}.safetensors.gz"] = packed(arrays)
+    return contents
 
 
 def packed(arrays):

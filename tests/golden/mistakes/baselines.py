@@ -694,7 +694,7 @@ CONDITIONAL = [
             "(Sigma_t_bar + Sigma_t_bar.transpose(0, 2, 1)) @ Y": (
                 "(Sigma_t_bar + Sigma_t_bar.transpose(0, 2, 1)) @ (R * s[:, None, :])[:, :3]"
             ),
-            "velocity, M_bar[:, :3])": "velocity, pull[:, :, None] * unit[:, None, :])",
+            "velocity, M_bar[:, :3])": "velocity, dot_bar[:, :, None] * unit[:, None, :])",
         },
     ),
     surgery(
@@ -719,7 +719,7 @@ CONDITIONAL = [
         "conditional",
         "conditional-velocity-detached",
         "no gradient flows from x_t into s and R",
-        {"pull = x_t_bar * (since[:, None] / duration)": "pull = 0 * x_t_bar"},
+        {"dot_bar = x_t_bar * (since[:, None] / duration)": "dot_bar = 0 * x_t_bar"},
     ),
 ]
 
@@ -727,7 +727,7 @@ CONDITIONAL = [
 # --- G3 -----------------------------------------------------------------------------------------
 
 
-def seen(out):
+def shown(out):
     return out["weight"] > 0.05
 
 
@@ -762,9 +762,9 @@ MARGINAL = [
                 "np.exp(-0.5 * since * (since / var_t)) / np.sqrt(2 * np.pi * var_t)"
             ),
             "(alpha, weight, since / var_t)": "((alpha, var_t), weight, since / var_t)",
-            "alpha, weight, pull = saved": "(alpha, var_t), weight, pull = saved",
-            "0.5 * slope * pull": (
-                "0.5 * slope * pull - (alpha_t_bar * alpha + weight_bar) * weight / (2 * var_t)"
+            "alpha, weight, u = saved": "(alpha, var_t), weight, u = saved",
+            "0.5 * slope * u": (
+                "0.5 * slope * u - (alpha_t_bar * alpha + weight_bar) * weight / (2 * var_t)"
             ),
         },
     ),
@@ -772,8 +772,8 @@ MARGINAL = [
         "marginal",
         "marginal-cut",
         "weights up to 0.05 count as 0; the renderer leaves such Gaussians out, not the equation",
-        outputs=lambda out, _: {name: a * seen(out) for name, a in out.items()},
-        outputs_bar=lambda bars, out, _: {name: bar * seen(out) for name, bar in bars.items()},
+        outputs=lambda out, _: {name: a * shown(out) for name, a in out.items()},
+        outputs_bar=lambda bars, out, _: {name: bar * shown(out) for name, bar in bars.items()},
     ),
     known(
         "marginal",

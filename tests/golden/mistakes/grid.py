@@ -326,7 +326,7 @@ HASH_RATE = [
         "hash-rate-crossed",
         "p+ and p- are exchanged: N+ is priced by p- and N- by p+",
         {
-            "own * math.log1p(other / own)": "own * math.log1p(own / other) if other else 0",
+            "n * math.log1p(other / n)": "n * math.log1p(n / other) if other else 0",
             "np.log2((n - n_pos) / n_pos)": (
                 "(np.log2(n_pos / (n - n_pos)) + (n_pos / (n - n_pos) - (n - n_pos) / n_pos) "
                 "/ math.log(2))"

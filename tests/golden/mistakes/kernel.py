@@ -56,18 +56,18 @@ RULES = {
     "kernel-exact-ellipse": (
         "tiles are listed by the exact ellipse of alpha >= 1/255 instead of the square of 3 sigma",
         {
-            "[found.row[start:end] for start, end in found.ranges]": (
-                "[reaching(found.row[start:end], i, -(-width // TILE), mean2d, conic, alpha) "
-                "for i, (start, end) in enumerate(found.ranges)]"
+            "[of_tiles.row[start:end] for start, end in of_tiles.ranges]": (
+                "[reaching(of_tiles.row[start:end], i, -(-width // TILE), mean2d, conic, alpha) "
+                "for i, (start, end) in enumerate(of_tiles.ranges)]"
             )
         },
     ),
     "kernel-tiles-ignored": (
         "every pixel draws all visible splats: the lists of the tiles are ignored",
         {
-            "[found.row[start:end] for start, end in found.ranges]": (
-                "len(found.ranges) * [np.argsort(np.where(visible, depth, np.inf), kind='stable')"
-                "[: visible.sum()]]"
+            "[of_tiles.row[start:end] for start, end in of_tiles.ranges]": (
+                "len(of_tiles.ranges) * [np.argsort(np.where(visible, depth, np.inf), "
+                "kind='stable')[: visible.sum()]]"
             )
         },
     ),

@@ -71,18 +71,18 @@ def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
     return quiet(run)
 
 
-def changed(change, tree, beside, whole):
+def changed(change, tree, others, whole):
     """Return `tree` with some entries changed.
 
     `change` is one function of `whole`, or {name: function of the entry and of its namesakes in the
-    trees `beside`}.
+    trees `others`}.
     """
     if callable(change):
         return change(*whole)
     return {
         **tree,
         **{
-            name: f(tree[name], *(other[name] for other in beside))
+            name: f(tree[name], *(other[name] for other in others))
             for name, f in (change or {}).items()
         },
     }

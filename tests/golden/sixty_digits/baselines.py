@@ -81,13 +81,13 @@ def level_features(u, level):
 
 def bilinear(plane, u, v):
     """A plane [I, J, F] between its nodes; the first and the last are at 0 and 1."""
-    (i, k, a), (j, m, b) = (beside(w, n) for w, n in zip((u, v), plane.shape))
+    (i, k, a), (j, m, b) = (neighbours(w, n) for w, n in zip((u, v), plane.shape))
     above = (1 - b) * plane[i, j] + b * plane[i, m]
     below = (1 - b) * plane[k, j] + b * plane[k, m]
     return (1 - a) * above + a * below
 
 
-def beside(w, n):
+def neighbours(w, n):
     """The two of n nodes around w, and how far w is from the first to the second."""
     low = int(w * (n - 1))
     return low, min(low + 1, n - 1), w * (n - 1) - low

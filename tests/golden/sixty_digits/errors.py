@@ -39,11 +39,11 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
 def held(values, dtype):
     """Values in another precision; raises OverflowError where they leave its range."""
     with np.errstate(over="ignore", under="ignore"):
-        found = cast(values, dtype)
-    wide, narrow = flatten(values), flatten(found)
+        result = cast(values, dtype)
+    wide, narrow = flatten(values), flatten(result)
     if any((np.isfinite(a) & ~np.isfinite(narrow[n])).any() for n, a in wide.items()):
         raise OverflowError(f"inputs beyond the largest {np.dtype(dtype).name}")
-    return found
+    return result
 
 
 def _worst(got, want, S, eps):

@@ -93,9 +93,9 @@ def gradient(key, inputs, cotangents, name=None, samples=None):
 def _gradient_of(terms, name, x, samples):
     """The gradient of one input, or of a list of arrays, element by element."""
     arrays = x if isinstance(x, list) else [np.asarray(x, object)]
-    found = [np.full(a.shape, NAN, object) for a in arrays]
+    slopes = [np.full(a.shape, NAN, object) for a in arrays]
     for i, a in enumerate(arrays):
-        for at in chosen(a.shape, f"{name}.{i}", samples):
+        for at in sampled(a.shape, f"{name}.{i}", samples):
             if not a[at].is_finite():
                 continue
 
@@ -110,11 +110,11 @@ def _gradient_of(terms, name, x, samples):
                     }
                 )
 
-            found[i][at] = slope(along, sizes(a, at))
-    return found if isinstance(x, list) else found[0]
+            slopes[i][at] = slope(along, sizes(a, at))
+    return slopes if isinstance(x, list) else slopes[0]
 
 
-def chosen(shape, name, samples):
+def sampled(shape, name, samples):
     """The indices of the elements to differentiate: all, or some drawn by name.
 
     A smaller number of samples is a subset of a larger one.
@@ -126,8 +126,8 @@ def chosen(shape, name, samples):
 
 def sizes(a, at):
     """The magnitudes on which x may act, the largest first: that of its array, 1, its own."""
-    own, widest = abs(a[at]), max((abs(v) for v in a.ravel() if v.is_finite()), default=Decimal(0))
-    return sorted({v for v in (widest, Decimal(1), own) if v}, reverse=True)
+    size, widest = abs(a[at]), max((abs(v) for v in a.ravel() if v.is_finite()), default=Decimal(0))
+    return sorted({v for v in (widest, Decimal(1), size) if v}, reverse=True)
 
 
 def slope(f, scales):
@@ -137,9 +137,9 @@ def slope(f, scales):
         if tried is not None and h * 100 > tried:  # as good as one that failed
             continue
         tried = h
-        found = _quotient(f, middle, h)
-        if found is not None:
-            return found
+        quotient = _quotient(f, middle, h)
+        if quotient is not None:
+            return quotient
     return NAN
 
 

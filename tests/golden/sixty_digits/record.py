@@ -1,6 +1,6 @@
 """Measures every case of every equation: `python -m tests.golden.sixty_digits.record [KEY ...]`.
 
-The results go to tests/golden/data/reference_errors.json. `test_sixty_digits.py` compares with
+The results go to tests/golden/data/reference_errors.json. `tests/equations` compares with
 them: an equation whose error becomes twice as large fails. All equations take three minutes.
 """
 
@@ -81,9 +81,9 @@ def main(keys):
     if unknown:
         sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(ALL_EQUATIONS)}")
     kept = json.loads(FILE.read_text(encoding="utf-8"))["errors"] if keys else {}
-    found = {**kept, **record(keys or ALL_EQUATIONS)}
+    errors = {**kept, **record(keys or ALL_EQUATIONS)}
     FILE.write_text(
-        text({key: found[key] for key in ALL_EQUATIONS if key in found}), encoding="utf-8"
+        text({key: errors[key] for key in ALL_EQUATIONS if key in errors}), encoding="utf-8"
     )
 
 

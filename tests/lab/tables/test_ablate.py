@@ -5,12 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.container import read_container
-from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.designs import fit, quantised_of
 from p4dgs_ref.lab import baselines
 from p4dgs_ref.lab.tables import ablate as study
 from p4dgs_ref.lab.tables import methods
-from p4dgs_ref.training.fit import fit
 
 TABLE_3 = [
     "D3DGS",
@@ -47,7 +45,7 @@ def test_each_step_changes_its_part(files, ablated):
     sizes = [files[name].stat().st_size for name in (*TABLE_3, BEYOND[0])]
     assert sizes == sorted(sizes, reverse=True)
     coded, more = (methods.load(files[name]) for name in BEYOND)
-    assert coded.design.coded and more.design == coded.design
+    assert coded.design.position_bits == 10 and more.design == coded.design
     assert len(more.anchors.x_a) > 2 * len(coded.anchors.x_a)
 
 
@@ -57,11 +55,11 @@ def test_parts_left_out(files, scene):
     assert "psi_d" not in models["no deformation"].networks
     assert models["no masking"].anchors.mask.all()
     base = methods.preset_of(study.plan(scene, "", 1, 12)[3])
-    context = quantised_of(read_container(files["fixed step"].read_bytes())).context
+    context = quantised_of(files["fixed step"].read_bytes()).context
     steps = (base.Q_f, base.Q_s, base.Q_l, base.Q_O)
     np.testing.assert_allclose(context.q, np.tile(steps, (len(context.q), 1)), rtol=1e-4)
     for name, same in (("global prior", True), ("fixed step", False)):
-        context = quantised_of(read_container(files[name].read_bytes())).context
+        context = quantised_of(files[name].read_bytes()).context
         assert (np.ptp(context.mu_units, axis=0) == 0).all() == same
         assert (np.ptp(context.sigma_units, axis=0) == 0).all() == same
 
@@ -95,13 +93,13 @@ def test_savings_are_against_the_step_before():
     expected = [(-50, 1), (-20, -0.5), (10, -1.5), (-75, -1), (20, 0.5)]
     np.testing.assert_allclose(changes, expected)
     assert others[-1]["psnr_db_spread"] == 0.5
-    assert study.unlike([first, *others]) == [
+    assert study.disagreements([first, *others]) == [
         f"{TABLE_3[-1]}: +10.00 % of bytes here, -84.10 in the paper (seeds: 2, ±0.50 dB)."
     ]
 
 
 def test_table_3_shows_the_papers_numbers_apart(ablated):
-    lines = study.describe(ablated[1]).splitlines()
+    lines = study.to_text(ablated[1]).splitlines()
     ends = [line.split()[-4:] for line in lines[2:9]]
     assert lines[2].startswith("D3DGS") and ends[0] == ["56.70", "-", "38.04", "-"]
     assert ends[3] == ["0.85", "-84.1", "38.24", "-0.10"] and ends[4] == 4 * ["-"]

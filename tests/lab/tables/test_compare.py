@@ -43,7 +43,7 @@ def test_summary_and_ratios(compared):
 
 
 def test_the_tables_show_the_papers_numbers_apart(compared):
-    text = study.describe(compared[1]).splitlines()
+    text = study.to_text(compared[1]).splitlines()
     heading = next(i for i, line in enumerate(text) if line.startswith("method"))
     assert text[heading].count("the paper's") == 2
     assert [line.split("  ")[0] for line in text[heading + 1 :][: len(CHOSEN)]] == CHOSEN

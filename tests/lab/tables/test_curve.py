@@ -9,6 +9,7 @@ from p4dgs_ref.lab import writer
 from p4dgs_ref.lab.tables import curve as study
 from p4dgs_ref.lab.tables import methods
 from p4dgs_ref.lab.tables.methods import CODED, OURS, Task
+from p4dgs_ref.model import Model
 
 from .shared import CURVE, FIRST, table
 
@@ -31,8 +32,8 @@ def test_sizes_of_the_points(drawn):
     _, tasks, result = drawn
     for row, task in zip(result["rows"], tasks):
         model, preset = methods.load(task.path), methods.preset_of(task)
-        if task.own:
-            assert model.design.coded == (task.method == CODED)
+        if task.is_ours:
+            assert (type(model) is Model) == (task.method != CODED)
             assert row["anchors"] <= preset.anchors
         else:
             assert model.parameters["sh_rest"].shape[2] == (row["sh_degree"] + 1) ** 2 - 1
@@ -89,7 +90,7 @@ def test_composition_sums_to_the_files(drawn):
             whole[f"bytes_{end}"]
         )
         assert sum(float(row[f"percent_{end}"]) for row in rows) == pytest.approx(100)
-    lines = study.describe(result).splitlines()
+    lines = study.to_text(result).splitlines()
     assert lines[-1].split()[::2] == ["file", "100.0", "100.0", "-"]
     assert "Table 4" in lines[-12] and lines[-4].split()[-2:] == ["47.6", "26.9"]
 
@@ -107,4 +108,4 @@ def test_trainings_of_another_length_or_scene_are_other_points(drawn, scene):
 
 def test_a_point_from_another_preset(scene):
     changes = {"preset": "smoke", "lambda_rate": 0.25}
-    assert methods.preset_of(Task(scene, CODED, 0, None, None, changes))[0] == "smoke"
+    assert methods.preset_of(Task(scene, CODED, 0, None, None, changes)).name == "smoke"

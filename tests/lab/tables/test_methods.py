@@ -52,7 +52,7 @@ def test_means_over_scenes_and_seeds():
     assert whole == {"method": "m", "seeds": 2, "psnr_db": 33.0, "psnr_db_spread": 1.0}
     assert [row["psnr_db"] for row in writer.means(rows, "scene")] == [30.5, 35.5]
     forms = {"scene": "{scene}", "dB": "{psnr_db:.1f}", "none": "{empty:.1f}", "gone": "{gone}"}
-    lines = writer.table(forms, rows[:2])
+    lines = writer.text_table(forms, rows[:2])
     assert lines == [
         "scene    dB  none  gone",
         "a      30.0     -     -",
@@ -120,7 +120,7 @@ def test_the_command_of_a_row_of_a_study_plans_its_task(scene, tmp_path):
         (curve.plan, "compare --curve", ([scene], tmp_path, ["hexplane"], 3, 9)),
         (ablate.plan, "ablate", (scene, tmp_path, 3, 9)),
     ):
-        task = next(t for t in plan(*asked) if t.seed == 1 and (t.step or not t.own))
+        task = next(t for t in plan(*asked) if t.seed == 1 and (t.step or not t.is_ours))
         method = " --method hexplane" * (study != "ablate")
         assert task.command == (
             f"p4dgs-ref {study} bouncing{method} --seeds 2 --iterations 9 --yes"

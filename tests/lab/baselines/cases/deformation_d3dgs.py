@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from p4dgs_ref.model import deformation_layers
+from p4dgs_ref.lab.baselines.d3dgs_network import deformation_layers
 from tests.golden.cases import Case
 
 # So few that 60-digit arithmetic differentiates all numbers of the ordinary case.

@@ -1,0 +1,116 @@
+"""The sections that are stored as plain numbers, and the Form that says how they are.
+
+`file.py` describes these sections. Whoever writes them otherwise passes another Form.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scenes.scene import MAX_BOX
+from .container import require, require_encodable
+from .header import read_header, write_header
+
+BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
+BOX_BYTES = 24
+
+
+class Form(NamedTuple):
+    """How the parts of a file are written and read that are not entropy coded."""
+
+    write_header: Callable  # of a model: bytes
+    read_header: Callable  # the design, the number of anchors A, the background
+    write_positions: Callable  # (model, positions): bytes
+    read_positions: Callable  # (data, A, design): box, positions
+    round_networks: Callable  # of a model: its networks as a decoder will have them
+    write_networks: Callable  # (networks, model): bytes
+    read_networks: Callable  # (data, section, shapes): networks
+
+
+def valid_box(lo, hi):
+    """Whether a file may hold this box; False for NaN."""
+    # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
+    return (np.abs([lo, hi]) < np.float32(MAX_BOX)).all() and (lo <= hi).all()
+
+
+def write_positions(model, positions):
+    """The box, and the positions [A, 3] as uint16."""
+    return np.concatenate(model.box).astype("<f4").tobytes() + positions.astype("<u2").tobytes()
+
+
+def read_positions(data, A, design):
+    """The box, two float32 arrays [3], and the positions [A, 3] int64."""
+    size = BOX_BYTES + 6 * A
+    message = f"expected {size} bytes for {A} anchors, found {len(data)}"
+    require(len(data) == size, "positions", len(data), message)
+    return read_box(data), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
+
+
+def read_box(data):
+    """The corners lo and hi [3] of the box at the beginning of the section positions."""
+    lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
+    require(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
+    return lo, hi
+
+
+def round_networks(model):
+    """The networks with all numbers rounded to float16 (Q18), float64 arrays in row order.
+
+    Raises EncodeError, which names the network.
+    """
+    rounded = {}
+    for name, pair in model.networks.items():
+        with np.errstate(over="ignore"):
+            halves = [[np.array(a, np.float16, order="C") for a in arrays] for arrays in pair]
+        require_finite(name, halves, "within float16's range, +-65504")
+        rounded[name] = tuple([a.astype(float) for a in arrays] for arrays in halves)
+    return rounded
+
+
+def require_finite(name, pair, expected):
+    """Raise EncodeError unless all weights and biases of a network are finite."""
+    is_finite = all(np.isfinite(a).all() for arrays in pair for a in arrays)
+    require_encodable(is_finite, f"network {name}: expected finite weights {expected}")
+
+
+def network_numbers(networks):
+    """Weights and biases of some networks in the order of the file, as one array."""
+    layers = [layer for network in networks.values() for layer in zip(*network)]
+    return np.concatenate([array.ravel() for pair in layers for array in pair])
+
+
+def networks_of(numbers, shapes):
+    """The networks {name: (weights, biases)} from the shapes of their layers and their numbers."""
+    sizes = [size for network in shapes.values() for I, J in network for size in (I * J, J)]
+    arrays, networks = iter(np.split(numbers, np.cumsum(sizes))), {}
+    for name, network in shapes.items():
+        pairs = [(next(arrays).reshape(shape), next(arrays)) for shape in network]
+        networks[name] = [W for W, _ in pairs], [b for _, b in pairs]
+    return networks
+
+
+def write_networks(networks, model):
+    """All numbers of some networks of a model as float16."""
+    return network_numbers(networks).astype("<f2").tobytes()
+
+
+def read_networks(data, section, shapes):
+    """The networks {name: (weights, biases)} of a section, float64."""
+    size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
+    require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
+    numbers = np.frombuffer(data, "<f2").astype(float)
+    finite = np.isfinite(numbers)
+    require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
+    return networks_of(numbers, shapes)
+
+
+PLAIN = Form(
+    write_header,
+    read_header,
+    write_positions,
+    read_positions,
+    round_networks,
+    write_networks,
+    read_networks,
+)

@@ -1,0 +1,16 @@
+"""The classroom: equations for students to write, a grader with held-back inputs, and the key.
+
+A teacher's session in Python:
+
+    from p4dgs_ref.lab import classroom
+    classroom.hand_out("course")  # writes course/student, to be handed out, and course/key
+    grades = classroom.grade("anna", "ben", classroom="course")  # what two students handed in
+    print(classroom.to_text(grades))  # the sums, and the points of every equation
+    eq = classroom.load("course/student/offsets.py")  # the equation in a student's file
+"""
+
+from .grading import grade, to_text, write
+from .room import ClassroomError, hand_out
+from .student import load
+
+__all__ = ["ClassroomError", "grade", "hand_out", "load", "to_text", "write"]

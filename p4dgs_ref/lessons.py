@@ -1,0 +1,424 @@
+"""What the tutorials share: figures, checks of gradients, and exercises that check themselves."""
+
+import json
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+
+from .oracle import published
+from .oracle.checker import Report, check, check_subject
+from .oracle.ports import FunctionPort
+from .output import write_atomically
+from .report.figures import COLORS
+from .table import EQUATIONS
+
+
+class Tutorial(NamedTuple):
+    """One file of tutorials/, and the keys of the equations that it explains."""
+
+    name: str
+    keys: tuple = ()
+
+
+TUTORIALS = (
+    Tutorial("01_offsets", ("offsets",)),
+    Tutorial("02_view", ("view",)),
+    Tutorial("03_opacity_and_masking", ("opacity", "masking", "mlp")),
+    Tutorial("04_color_rotation_scale", ("color", "rotation", "scale")),
+    Tutorial("05_positional_encoding_and_deformation", ("positional_encoding", "deformation")),
+    Tutorial("06_deformed", ("deformed",)),
+    Tutorial("07_noise_and_rounding", ("noise", "rounding")),
+    Tutorial("08_step", ("step",)),
+    Tutorial("09_hash_grid", ("hash_grid",)),
+    Tutorial("10_prior_and_likelihood", ("likelihood", "prior")),
+    Tutorial("11_rate", ("anchor_rate", "hash_rate", "rate_loss")),
+    Tutorial("12_losses", ("total_loss", "render_loss", "ssim")),
+    Tutorial("13_covariance", ("covariance",)),
+    Tutorial("14_projection", ("projection",)),
+    Tutorial("15_compositing", ("compositing",)),
+    Tutorial("16_pipeline_by_hand"),
+    Tutorial("17_four_stages"),
+    Tutorial("18_one_training_step"),
+    Tutorial("19_file_byte_by_byte"),
+    Tutorial("20_intervals_to_rans"),
+    Tutorial("21_desync"),
+    Tutorial("22_five_questions_about_bits"),
+    Tutorial("23_accuracy_versus_time"),
+    Tutorial("24_hard_cases"),
+    Tutorial("25_effects"),
+    Tutorial("26_video_codec_analogy"),
+    Tutorial("27_rate_distortion"),
+    Tutorial("28_four_ways_to_move"),
+    Tutorial("29_porting_in_an_afternoon"),
+)
+STYLE = {
+    "figure.figsize": (8, 4.5),
+    "figure.dpi": 120,
+    "font.size": 12,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
+NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
+# Factors that are told without giving an answer away, and what may have been confused.
+TELLING_FACTORS = {
+    0: "",
+    0.5: "",
+    1: "",
+    2: "",
+    8: "bits instead of bytes",
+    1 / 8: "bytes instead of bits",
+    1 / np.log(2): "bits instead of nats",
+    np.log(2): "nats instead of bits",
+    180 / np.pi: "degrees instead of radians",
+    np.pi / 180: "radians instead of degrees",
+    100: "per cent instead of a fraction",
+    1 / 100: "a fraction instead of per cent",
+    1000: "a unit that is a thousandth",
+    1 / 1000: "a unit that is a thousand times larger",
+}
+RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
+HINTS_GIVEN = {}  # exercise -> how many hints were asked for
+
+
+def tutorial_of(key):
+    """Return the tutorial that explains an equation."""
+    return next(tutorial for tutorial in TUTORIALS if key in tutorial.keys)
+
+
+# --- figures --------------------------------------------------------------------------------------
+def pyplot():
+    """Return matplotlib.pyplot in the style of the tutorials.
+
+    It opens windows only in a notebook or at an interactive prompt.
+    """
+    import matplotlib
+
+    if not interactive():
+        matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plt.rcParams.update({**STYLE, "axes.prop_cycle": plt.cycler(color=COLORS)})
+    return plt
+
+
+def interactive():
+    """Whether this is a notebook or an interactive prompt."""
+    return hasattr(sys, "ps1") or "ipykernel" in sys.modules
+
+
+def begin():
+    """Return pyplot, and let the tutorial that runs import `tutorials.tools` of its checkout."""
+    sys.path.extend(str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir())
+    return pyplot()
+
+
+def here():
+    """Return the folder of the tutorial that runs, or of its notebook."""
+    script = Path(sys.argv[0]).resolve().parent
+    return script if script.name in ("tutorials", "solutions") else Path.cwd()
+
+
+def at_stage_4(trainer, model):
+    """Return the state of a trainer that begins stage 4 with what a model has of stages 1 to 3.
+
+    These are its anchors and the networks that draw. The trainer has as many anchors as the model.
+    """
+    (arrays, values), anchors = trainer.state(), model.anchors
+    new = {name: getattr(anchors, name) for name in ("x_a", "f_a", "O_a")}
+    for name in ("s_a", "l_a"):
+        new[f"log_{name[0]}"] = np.log(np.maximum(getattr(anchors, name), 1e-4))
+    for name in model.networks.keys() - {"psi_p", "psi_q"}:
+        for kind, layers in zip("Wb", model.networks[name]):
+            new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}
+    arrays |= {f"p/{name}": array.astype(np.float32) for name, array in new.items()}
+    arrays["mask"] = anchors.mask
+    return arrays, {**values, "iteration": trainer.preset.stage_ends[2]}
+
+
+def out():
+    """Return the folder for figures, which is `out` beside the tutorial that runs.
+
+    The environment variable P4DGS_TUTORIALS_OUT names another one.
+    """
+    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or here() / "out")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def finish(ax, legend=None, grid=True, title_size="large", **settings):
+    """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
+    ax.set(**settings)
+    ax.title.set_size(title_size)
+    if legend is not None:
+        ax.legend(**legend)
+    if not grid:
+        ax.grid(False)
+
+
+def show(figure, name, title="", size=16):
+    """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
+    if title:
+        figure.suptitle(title, fontsize=size)
+    place = out() / f"{name}.png"
+    write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
+    if interactive():
+        pyplot().show(block=False)
+    else:
+        print(f"figure: {place.parent.name}/{place.name}")
+        pyplot().close(figure)
+
+
+# --- checks of gradients --------------------------------------------------------------------------
+def random_like(rng, values):
+    """Return normal random numbers in the shape of an array, a list of arrays or a dictionary."""
+    if isinstance(values, dict):
+        return {name: random_like(rng, value) for name, value in values.items()}
+    if isinstance(values, list):
+        return [random_like(rng, value) for value in values]
+    return rng.normal(size=np.shape(values))
+
+
+def moved(values, directions, h):
+    """Return values + h * directions, for an array, a list of arrays or a dictionary.
+
+    Entries of a dictionary that have no direction stay as they are.
+    """
+    if isinstance(values, dict):
+        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
+    if isinstance(values, list):
+        return [moved(value, d, h) for value, d in zip(values, directions)]
+    return values + h * directions
+
+
+def inner(a, b):
+    """Return the sum of all products of entries; of dictionaries, over the names in b."""
+    if isinstance(b, dict):
+        return sum(inner(a[name], b[name]) for name in b)
+    if isinstance(b, (list, tuple)):
+        return sum(inner(x, y) for x, y in zip(a, b))
+    return float(np.sum(a * b))
+
+
+def close(a, b, tolerance=1e-12):
+    """Whether a and b agree, up to a fraction of the largest number in b."""
+    off = np.abs(np.asarray(a) - b).max(initial=0)
+    return bool(off <= tolerance * np.abs(b).max(initial=0))
+
+
+def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
+    """Check gradients by the adjoint identity along a random direction of all `inputs`.
+
+    `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
+    Returns the direction, and the change of the loss along it by differences.
+    """
+    d, h = random_like(rng, inputs), 1e-6
+    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
+    difference, gradient = (up - down) / (2 * h), inner(gradients, d)
+    print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
+    assert close(difference, gradient, tolerance)
+    return d, difference
+
+
+# --- checks of ports ------------------------------------------------------------------------------
+def passes(*keys, port=None):
+    """Check equations of this project, or a port of one, by the golden vectors; print the report.
+
+    Of the equations, the gradients are checked as well.
+    """
+    for key in keys:
+        vjp = None if port else lambda inputs, bars: EQUATIONS[key].vjp(**inputs)[1](**bars)
+        report = check(port or EQUATIONS[key], key, vjp)
+        print(report)
+        assert report.ok
+
+
+def caught(mistaken, key, *says, vjp=None):
+    """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
+    first = check(mistaken, key, vjp).first
+    assert first, f"{key}: the mistake is not noticed"
+    message = f"{first.id} fails: {first.explanation or first.hint}"
+    print(message)
+    assert all(words in message for words in says), message
+
+
+# --- exercises ------------------------------------------------------------------------------------
+def golden(id):
+    """Return the tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
+    return next(c for c in published.cases(id.partition("/")[0]) if c.id == id).tensors
+
+
+def check_number(exercise, mine, want=None, digits=6):
+    """Check an exercise whose answer is a number or an array; Ellipsis stands for no answer.
+
+    Without `want`, the answer is compared with the one that is stored for the exercise.
+    """
+    want = np.asarray(stored("answers")[exercise] if want is None else want, float)
+    try:
+        mine = np.asarray(mine, float)
+    except (TypeError, ValueError):
+        return settle(exercise, "no answer yet" if mine is ... else "expected a number")
+    if mine.shape != want.shape:
+        shapes = f"{list(mine.shape)}, expected {list(want.shape)}"
+        return settle(exercise, f"shape {shapes}; [] is a single number")
+    right = np.isclose(mine, want, 0, 10.0**-digits * np.abs(want).max(initial=0))
+    if right.all():
+        return settle(exercise, "")
+    if np.isclose(mine, want, NEAR_TOLERANCE, 0).all():
+        return settle(exercise, f"nearly right, but {digits} right digits are expected")
+    first = tuple(np.argwhere(~right)[0].tolist())
+    example = f"; the first, {list(first)}: {difference(mine[first], want[first])}"
+    return settle(exercise, difference(mine, want, example))
+
+
+def check_forward(exercise, mine, key):
+    """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
+    cases = published.cases(key)
+    names = dict.fromkeys(n.split(".")[1] for n in cases[0].tensors if n.startswith("out."))
+    port = FunctionPort(lambda **inputs: outputs_of(mine(**inputs), names))
+    settle(exercise, problem(cases, port, ("out.",)))
+
+
+def check_backward(exercise, mine, key, *wanted):
+    """Check a backward: `mine(inputs, cotangents)` returns {input name: gradient}.
+
+    `wanted` names the gradients to check; without it all are checked.
+    """
+
+    def vjp(inputs, cotangents):
+        made = mine(inputs, cotangents)
+        return gradients_of(made, wanted or made)
+
+    roles = tuple(f"in_bar.{name}" for name in wanted or [""])
+    settle(exercise, problem(published.cases(key), FunctionPort(lambda **_: {}, vjp), roles))
+
+
+def settle(exercise, problem):
+    """Record and print whether an exercise is solved."""
+    RESULTS[exercise] = not problem
+    message = "no answer yet" if "NotImplementedError" in problem else problem
+    offer = f'\n  lessons.hint("{exercise}") gives a hint'
+    print(f"exercise {exercise}: " + (f"not solved: {message}{offer}" if problem else "solved"))
+
+
+def hint(exercise):
+    """Print the first hint on an exercise, and the second one when it is asked for again."""
+    hints = stored("hints")[exercise]
+    HINTS_GIVEN[exercise] = min(HINTS_GIVEN.get(exercise, 0) + 1, len(hints))
+    print(f"hint {HINTS_GIVEN[exercise]} of {len(hints)}: {hints[HINTS_GIVEN[exercise] - 1]}")
+
+
+@cache
+def stored(name):
+    """Return what is stored by exercise: `answers` or `hints`."""
+    return json.loads(Path(__file__).with_name(f"{name}.json").read_text(encoding="utf-8"))
+
+
+# --- what is wrong with an answer -----------------------------------------------------------------
+class WrongForm(TypeError):
+    """An answer does not have the form that is asked for. The message is one sentence."""
+
+
+def outputs_of(made, names):
+    """Return what a forward made as {name: value}. Raises WrongForm for too few or too many."""
+    if isinstance(made, dict):
+        return made
+    outputs = made if isinstance(made, tuple) else (made,)
+    if len(outputs) != len(names):
+        asked = "the output" if len(names) == 1 else f"a tuple of {len(names)} outputs,"
+        got = f"{len(outputs)} of type {type(made).__name__}"
+        raise WrongForm(f"expected {asked} {', '.join(names)}, got {got}")
+    return dict(zip(names, outputs))
+
+
+def gradients_of(made, names):
+    """Return the gradients in `names` of those that a backward made. Raises WrongForm."""
+    if not isinstance(made, dict):
+        raise WrongForm(
+            f"expected a dictionary {{input name: gradient}}, got {type(made).__name__}"
+        )
+    return {name: made[name] for name in names if name in made}
+
+
+@np.errstate(all="ignore")
+def problem(cases, port, roles):
+    """Return what is wrong with a port in its first wrong case, or "" if nothing is.
+
+    The oracle's doctor sees the answers to all cases and names the mistake if it knows it.
+    """
+    answers = {}  # those that are judged; asked again, a port may answer something else
+    kept = SimpleNamespace(
+        run=lambda case: answers.setdefault(case.id, port.run(case)), asked=roles
+    )
+    first = Report(check_subject(cases, kept)).first
+    if first is None:
+        return ""
+    if not first.findings:
+        message = f"{first.verdict} in {first.id}: {first.explanation}"
+        return message.rpartition(f"{WrongForm.__name__}: ")[2]
+    finding, known = first.findings[0], first.explanation or first.hint
+    role, name = finding.tensor.split(".", 1)
+    case = next(case for case in cases if case.id == first.id)
+    mine, right = (of.get(finding.tensor) for of in (answers[case.id], case.tensors))
+    message = f": {finding.message}"
+    if finding.kind == "value":
+        place = finding.message.partition(" (")[0]
+        message = f": {difference(mine, right)}\n  Case {case.id}: {place}"
+    if finding.kind in ("missing", "shape"):
+        got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
+        message = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
+    if known:
+        message += f"\n  It looks like this: {known}"
+    return f"{'the output' if role == 'out' else 'the gradient of'} {name}{message}"
+
+
+def axes_of(case, tensor):
+    """Return the shape of a tensor, with the names of its axes: "[A, k, 3] = [5, 4, 3]"."""
+    role, name = tensor.split(".")[:2]
+    axes = published.subjects()[case.subject]["shapes"][name].strip("*").split(" -> ")
+    names = f"[{', '.join(axes[-1 if role == 'out' else 0].split())}]"
+    return " = ".join(dict.fromkeys((names, str(list(case.tensors[tensor].shape)))))
+
+
+@np.errstate(all="ignore")
+def difference(mine, right, example=""):
+    """Return how an array differs from the right one of the same shape.
+
+    Of a single number only a telling factor is named; others would give the right one away.
+    `example` follows where the errors of several numbers have nothing in common.
+    """
+    wrong = ~np.isclose(mine, right, ROUNDING_TOLERANCE, 0)
+    factor = np.vdot(right, mine) / np.vdot(right, right)
+    telling = [
+        (known, unit)
+        for known, unit in TELLING_FACTORS.items()
+        if np.isclose(abs(factor), known, NEAR_TOLERANCE, 0)
+    ]
+    unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
+    sign = "right" if factor > 0 else "wrong"
+    size = "large" if abs(factor) > 1 else "small"
+    some = f"{wrong.sum()} of {right.size} numbers"
+    rules = (
+        (not wrong.any(), "too few right digits"),
+        (np.isclose(mine, right, NEAR_TOLERANCE, 0).all(), "nearly right"),
+        (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
+        (
+            right.size == 1 and np.isfinite(factor),
+            f"it is wrong: its sign is {sign}, its magnitude too {size}",
+        ),
+        (
+            close(mine, factor * right, ROUNDING_TOLERANCE),
+            f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",
+        ),
+        (close(np.abs(mine), np.abs(right), ROUNDING_TOLERANCE), f"{some} have the wrong sign"),
+        (True, f"{some} are wrong{example}"),
+    )
+    return next(message for holds, message in rules if holds)

@@ -1,0 +1,174 @@
+"""Files and folders that are never half-written.
+
+Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
+rename replaces a file in one step, so a reader sees the old file or the whole new one. The hidden
+folder of a process that was killed stays until something else is written beside it.
+"""
+
+import errno
+import os
+import shutil
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .signals import deferred
+
+try:
+    import fcntl
+except ImportError:  # Windows: nothing is locked there
+    fcntl = None
+
+PART = ".p4dgs-part-"
+LOCK_SECONDS = 5.0  # within which a process has locked the hidden folder that it has made
+
+
+class OutputError(ValueError):
+    """A place that cannot be written to: one line that names it and what was expected."""
+
+
+@contextmanager
+def locked(folder, wait=False):
+    """Hold the lock of a folder, which the system releases when the process ends.
+
+    Where another process holds it, waits or raises OutputError. Yields whether there is a lock,
+    because not every file system has them.
+    """
+    with ExitStack() as stack:
+        has_locks = fcntl is not None
+        if has_locks:
+            handle = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, handle)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OutputError(
+                    f"{folder}: another process is writing to it; expected a folder of its own"
+                ) from None
+            except OSError:
+                has_locks = False
+        yield has_locks
+
+
+def destination(path):
+    """The regular file that `path` stands for; it need not exist, and links are followed."""
+    target = Path(os.path.realpath(path))
+    if os.path.lexists(target) and not target.is_file():
+        raise OutputError(
+            f"{path}: expected a regular file or nothing, found "
+            f"{'a folder' if target.is_dir() else 'a device, pipe, socket or broken link'}"
+        )
+    return target
+
+
+@contextmanager
+def new_part(folder):
+    """Yield a hidden folder inside of `folder`, which is locked, and removed at the end.
+
+    Where the disk is full, the error names the file in `folder` that was written last.
+    """
+    with ExitStack() as stack:
+        with deferred():  # a signal between its making and its `with` would leave it behind
+            part = Path(stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder)))
+            stack.enter_context(locked(part, wait=True))
+        try:
+            yield part
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                name = error.filename2 or error.filename or [part, *files_in(part)][-1]
+                error.filename = os.path.join(
+                    *(place for place in Path(name).parts if not place.startswith(PART))
+                )
+            raise
+
+
+def files_in(folder):
+    """All files below a folder in the order in which they were written; at one time, by size."""
+    files = filter(Path.is_file, folder.rglob("*"))
+    return sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.stat().st_size))
+
+
+def sweep(folder):
+    """Remove the hidden folders in `folder` whose processes were killed.
+
+    A process that lives holds the lock of its folder, or has made it LOCK_SECONDS ago at most.
+    """
+    for part in folder.glob(f"{PART}*"):
+        with suppress(OSError, OutputError), locked(part) as is_ours:
+            if is_ours and time.time() - part.stat().st_mtime > LOCK_SECONDS:
+                shutil.rmtree(part)
+
+
+@contextmanager
+def replaced(path):
+    """Yield the name of a new file, which at the end replaces the file that `path` stands for."""
+    target = destination(path)
+    with new_part(target.parent) as part:
+        yield part / target.name
+        os.replace(part / target.name, target)
+
+
+def write_atomically(path, write):
+    """Call `write(file)` on a new file, then put it in the place of `path`."""
+    sweep(destination(path).parent)
+    with replaced(path) as part, open(part, "wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def made(path):
+    """Make the folder `path` and prove that it can be written to, before any long work begins.
+
+    If the work fails, the folders that were made for it are removed again where they are empty.
+    """
+    folder = Path(path)
+    missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
+    try:
+        try:
+            with deferred():
+                folder.mkdir(parents=True, exist_ok=True)
+                TemporaryDirectory(prefix=PART, dir=folder).cleanup()
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: expected a folder that can be written to ({error.strerror})"
+            ) from None
+        yield folder
+    except BaseException:
+        with suppress(OSError):  # the first folder that was not made, or is not empty, ends it
+            for place in missing:  # the deepest one first
+                place.rmdir()
+        raise
+
+
+@contextmanager
+def filled(path, reads=None):
+    """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
+
+    After an error nothing is moved. None of them may take the place of the file `reads`.
+    """
+    with made(path) as folder, new_part(folder) as part:
+        sweep(folder)
+        yield part
+        files = files_in(part)
+        for file in files:
+            with new_file(folder / file.relative_to(part), reads):
+                pass
+        with deferred():  # all files move, or none
+            for file in files:
+                with replaced(folder / file.relative_to(part)) as place:
+                    shutil.move(file, place)
+
+
+@contextmanager
+def new_file(path, *reads):
+    """Prove that the file `path` can be written; its folder is made as in `made`.
+
+    It must be none of the files `reads`, from which it is made; None stands for no file.
+    """
+    if destination(path) in [Path(os.path.realpath(file)) for file in reads if file is not None]:
+        raise OutputError(f"{path}: this is the input; expected another place to write to")
+    with made(destination(path).parent):
+        yield Path(path)

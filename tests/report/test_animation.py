@@ -1,0 +1,90 @@
+"""The animation of the README shows what it says: traced truth, decoded picture, error."""
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from p4dgs_ref.report.evaluate import psnr
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
+from p4dgs_ref.scenes.simulator.description import read_description
+from tests.budget import ROOT
+from tutorials.tools import animation
+
+SIDE = 64
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("bouncing")
+
+
+@pytest.fixture(scope="module")
+def description():
+    return read_description(find_scene("bouncing") / DESCRIPTION)
+
+
+@pytest.fixture(scope="module")
+def committed():
+    return iio.imread(ROOT / "tutorials" / "pictures" / "demo.gif")
+
+
+def panels(frame):
+    """The three pictures [64, 64, 3] of a frame, in [0, 1] and at their own size."""
+    zoom, gap = animation.ZOOM, animation.GAP
+    rows = slice(animation.HEAD + 1, animation.HEAD + zoom * SIDE, zoom)
+    lefts = [gap + i * (zoom * SIDE + gap) for i in range(3)]
+    return [frame[rows, left + 1 : left + zoom * SIDE : zoom] / 255 for left in lefts]
+
+
+def test_truth_is_that_of_the_scene(scene, description):
+    view = scene.test[3]
+    drawn = animation.truth(description, view.camera, view.time, scene.background)
+    assert np.abs(drawn - view.image).max() <= 1.5 / 255  # another NumPy may round otherwise
+
+
+def test_no_frame_has_the_time_of_a_training_view(scene, description):
+    trained = {view.time for view in scene.train}
+    assert not trained & {t for _, t in animation.views(description)}
+
+
+def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, committed):
+    posed = animation.views(description)
+    assert len(committed) == 2 * len(posed) - 2
+    for i in range(0, len(posed), 6):
+        camera, t = posed[i]
+        left, middle, _ = panels(committed[i])
+        true = animation.truth(description, camera, t, scene.background)
+        assert psnr(left, true) > 38  # the colours of a GIF
+        assert 30 < psnr(middle, true) < 36
+
+
+def test_committed_error_is_that_of_the_panels_in_the_stated_colours(committed):
+    levels = np.linspace(0, animation.figures.ERROR_RANGE, animation.ERROR_COLORS)
+    scale = animation.error_colors(levels[None])[0]
+    for frame in committed[::8]:
+        left, middle, right = panels(frame)
+        distances = np.abs(right[:, :, None] - scale).max(axis=3)
+        assert distances.min(axis=2).max() < 2 / 255
+        shown = levels[distances.argmin(axis=2)]
+        error = np.abs(middle - left).mean(axis=2).clip(0, animation.figures.ERROR_RANGE)
+        assert np.abs(shown - error).mean() < 0.005
+        assert np.corrcoef(shown.ravel(), error.ravel())[0, 1] > 0.9
+
+
+def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
+    class Gray:
+        """A model that draws the same gray everywhere."""
+
+        background = scene.background
+
+        def render(self, camera, t):
+            return np.full((camera.height, camera.width, 3), 0.5)
+
+    monkeypatch.setattr(animation, "FRAMES", 2)
+    for name in ("one.gif", "two.gif"):
+        animation.write_animation(tmp_path / name, Gray())
+    assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
+    left, middle, right = panels(iio.imread(tmp_path / "one.gif")[0])
+    assert np.abs(middle - 0.5).max() < 0.03 < np.abs(left - 0.5).max()
+    assert np.abs(right[0, 0] - animation.error_colors(np.array([[0.5]]))[0, 0]).max() < 0.02

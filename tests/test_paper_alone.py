@@ -1,0 +1,62 @@
+"""The paper can be read, run and tested with everything else deleted."""
+
+import os
+import re
+import shutil
+import site
+import subprocess
+import sys
+
+import pytest
+
+from tests import ROOT
+from tests.budget import PACKAGE
+
+ROOMS = ("equations", "splatting", "scenes", "training", "codec")
+OTHERS = ("beyond", "oracle", "viewer", "lab")
+MODULES = [
+    *(file for room in ROOMS for file in sorted((PACKAGE / room).rglob("*.py"))),
+    *(PACKAGE / f"{name}.py" for name in ("table", "attributes", "effects", "model", "output")),
+    PACKAGE / "codec" / "picture.txt",
+]
+OURS = re.compile(r"\bB[123]\b|is_coded|coded design|version 2|(import|from) .*\bbeyond\b")
+
+
+def test_the_rooms_of_the_paper_hold_the_paper():
+    """No word of what is ours stands in them, and no import of it."""
+    words = {}
+    for file in MODULES:
+        lines = file.read_text(encoding="utf-8").splitlines()
+        words |= {f"{file.name}:{i}": line for i, line in enumerate(lines, 1) if OURS.search(line)}
+    assert not words
+
+
+def in_copy(folder, *command):
+    """Run Python where the package has the rooms of the paper alone.
+
+    Without `site`, an editable installation would not add what was deleted.
+    """
+    path = os.pathsep.join([str(folder), *site.getsitepackages()])
+    return subprocess.run(
+        [sys.executable, "-S", *command],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.slow
+def test_the_paper_runs_alone(tmp_path):
+    """Its tests pass, and `demo --preset tiny` trains, compresses, decodes and renders."""
+    for name in ("p4dgs_ref", "tests", "tiny_scenes"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("setup.cfg", "README.md"):
+        shutil.copy(ROOT / name, tmp_path)
+    for room in OTHERS:
+        shutil.rmtree(tmp_path / "p4dgs_ref" / room)
+    stages = ("--set", "stage_ends=5,10,20,30")
+    demo = in_copy(tmp_path, "-m", "p4dgs_ref", "demo", "--preset", "tiny", *stages, "-o", "report")
+    assert demo.returncode == 0 and (tmp_path / "report" / "bouncing.p4dgs").exists(), demo.stderr
+    tests = in_copy(tmp_path, "-m", "pytest", "-q", *(f"tests/{room}" for room in ROOMS))
+    assert tests.returncode == 0, tests.stdout

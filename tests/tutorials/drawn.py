@@ -1,0 +1,43 @@
+"""What a figure shows: the texts that matplotlib really draws, and which of them overlap."""
+
+import inspect
+import sys
+from itertools import combinations
+
+from matplotlib.text import Text
+
+DRAW = inspect.unwrap(Text.draw).__code__
+
+
+def texts(figure):
+    """[(text, box in pixels)] of all texts that are drawn."""
+    drawn, before = [], sys.getprofile()
+
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code is DRAW:
+            text, renderer = frame.f_locals["self"], frame.f_locals["renderer"]
+            if text.get_visible() and text.get_text().strip():
+                drawn.append((text.get_text(), Text.get_window_extent(text, renderer)))
+
+    sys.setprofile(watch)
+    try:
+        figure.canvas.draw()
+    finally:
+        sys.setprofile(before)
+    return drawn
+
+
+def smallest(figure):
+    """The size in pixels of the smallest text of a figure that has been drawn."""
+    shown = [text for text in figure.findobj(Text) if text.get_visible()]
+    sizes = [text.get_fontsize() for text in shown if text.get_text().strip()]
+    return min(sizes) * figure.dpi / 72
+
+
+def overlaps(figure):
+    """The pairs of texts that cover each other by more than a pixel."""
+    return [
+        (one, other)
+        for (one, a), (other, b) in combinations(texts(figure), 2)
+        if a.padded(-1).overlaps(b.padded(-1))
+    ]

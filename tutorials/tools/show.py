@@ -1,0 +1,338 @@
+"""Figures and drawings of a trained model from the inside, for the tour and for tutorials.
+
+The first functions compute what is drawn. The next draw on axes, in the pixels of the camera. The
+last fill a whole figure, whose titles say the numbers that a caption may quote; `view` holds the
+limits of its pictures, {"xlim": ..., "ylim": ...}, which leave out what is empty.
+
+A colour means the same in every drawing, and the same as in the drawing of the architecture.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.collections import EllipseCollection, LineCollection
+from scipy.special import ndtr
+
+from p4dgs_ref.designs import encode, quantised_of
+from p4dgs_ref.equations import hash_grid
+from p4dgs_ref.model import context
+from p4dgs_ref.report.figures import COLORS, heat_image
+from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
+from p4dgs_ref.splatting import compositing, covariance, render
+from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.training.loop import psnr
+
+SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
+GREY, PALE = "#606060", "#d9d9d9"
+AMOUNT = "viridis"  # the colours of an amount: bits, distances, deviations
+PARTS = {  # of an anchor's bits: shades of RATE
+    "position, masks": "#b0b0b0",
+    "feature": "#7a2f58",
+    "scales": "#a8578a",
+    "offset scales": "#cc79a7",
+    "offsets": "#e8bfd6",
+}
+STYLE = {"font.size": 16, "axes.titlesize": 18, "figure.dpi": 100, "axes.grid": False}
+MIN_SHARE = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
+
+
+# --- what is drawn --------------------------------------------------------------------------------
+def enlarged(camera, zoom):
+    """The camera with `zoom` times as many pixels in each direction."""
+    lengths = {name: zoom * getattr(camera, name) for name in ("f_x", "f_y", "width", "height")}
+    middle = {name: zoom * (getattr(camera, name) + 0.5) - 0.5 for name in ("c_x", "c_y")}
+    return replace(camera, **lengths, **middle)
+
+
+def frame(model, camera, t, zoom=8, colors=None):
+    """The picture [zoom H, zoom W, 3] of a model at time t, or of its canonical Gaussians (None).
+
+    The blur grows with the picture, which therefore shows what training saw, only finer. With
+    `colors` [A, 3] every anchor has one colour, over white.
+    """
+    near, settings = enlarged(camera, zoom), FAST._replace(blur=FAST.blur * zoom**2)
+    if colors is None:
+        image = model.render(near, t, settings)
+    else:
+        image = heat_image(model, colors, near, t, settings)
+    return np.clip(image, 0, 1)
+
+
+def splats(g, camera, which=slice(None)):
+    """The splats of the Gaussians that `which` selects, of all if it is left out.
+
+    These are mean2d [N, 2], cov2d and conic [N, 3], depth and visible [N].
+    """
+    (Sigma, R), _ = covariance.axes(g.s, g.r)
+    return [values[which] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
+
+
+def to_pixels(x, camera):
+    """Points x [..., 3] in pixels [..., 2]."""
+    x = x @ camera.R.T + camera.T
+    return x[..., :2] / x[..., 2:] * (camera.f_x, camera.f_y) + (camera.c_x, camera.c_y)
+
+
+def front_to_back(g, camera, pixel):
+    """What the splats of a pixel (column, row) give to it, from front to back.
+
+    Returns their indices, their shares of the pixel, and the share of the background.
+    """
+    mean2d, _, conic, depth, visible = splats(g, camera)
+    order = compositing.depth_order(depth, visible, True)
+    rows = mean2d[order], conic[order], g.alpha[order], EXACT.alpha_max
+    alphas = compositing.alphas(*rows, *np.array(pixel, float)[:, None])[0]
+    T, behind = compositing.transmittances(alphas, True)
+    return order, (alphas * T)[:, 0], behind[0]
+
+
+def context_at(model, x):
+    """The Context that the model predicts at any positions x [n, 3] in its box."""
+    lo, hi = (corner.astype(float) for corner in model.box)
+    located = hash_grid.locate(x, lo, hi, model.design.grid, [len(g) for g in model.grids])
+    return context(model.design, model.networks, model.grids, located)[0]
+
+
+# --- parts of drawings ----------------------------------------------------------------------------
+def picture(ax, image, camera, **settings):
+    """Show an image, of whatever size, on axes that count the pixels of the camera."""
+    ax.imshow(image, extent=(-0.5, camera.width - 0.5, camera.height - 0.5, -0.5))
+    ax.set(xticks=[], yticks=[], **settings)
+    ax.spines[:].set_visible(False)
+
+
+def scored_picture(ax, model, data, camera, t, truth, view, name):
+    """Show what a model renders, with the bytes of its file and its PSNR against `truth`."""
+    quality = psnr(model.render(camera, t), truth)
+    title = f"{name}\n{len(data):,} bytes, {quality:.1f} dB"
+    picture(ax, frame(model, camera, t), camera, **view, title=title)
+
+
+def ellipses(ax, mean2d, cov2d, **style):
+    """Draw splats as the ellipses of one standard deviation."""
+    variances, axes = np.linalg.eigh(cov2d[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+    height, width = 2 * np.sqrt(variances).T
+    angles = np.degrees(np.arctan2(axes[:, 1, 1], axes[:, 0, 1]))
+    place = {"units": "xy", "offsets": mean2d, "offset_transform": ax.transData}
+    ax.add_collection(EllipseCollection(width, height, angles, **place, **style))
+
+
+def families(ax, model, camera, anchor, t=None):
+    """Draw anchors, their children, and a line from each to its anchor; one family stands out."""
+    g = model.gaussians(t, camera)
+    parents = g.index // model.design.k
+    anchors, children = (to_pixels(x, camera) for x in (model.anchors.x_a, g.x))
+    lines, of_anchor = np.stack([anchors[parents], children], axis=1), parents == anchor
+    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, STEP, 3, 70)):
+        ax.add_collection(LineCollection(lines[which], colors=color, lw=width, zorder=1 + width))
+        ax.scatter(*children[which].T, size, color, lw=0, zorder=2 + width)
+    ax.scatter(*anchors.T, 26, ANCHOR, lw=0, zorder=3)
+    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=STEP, lw=3, zorder=6)
+
+
+def paths(ax, model, camera, times):
+    """Draw the paths of all Gaussians in colours for the length of delta_x; return these lines."""
+    x = np.array([model.gaussians(t, camera).x for t in times])
+    length = np.linalg.norm(x - model.gaussians(None, camera).x, axis=2)
+    places = to_pixels(x, camera)
+    pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
+    lines = LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True)
+    lines.set_array((length[:-1] + length[1:]).ravel() / 2)
+    return ax.add_collection(lines)
+
+
+def heights(ax, model, camera, times):
+    """Draw the heights of all Gaussians over time in their own colours; return them [T, N]."""
+    g = [model.gaussians(t, camera) for t in times]
+    z = np.array([now.x[:, 2] for now in g])
+    lines = np.stack(np.broadcast_arrays(times, z.T), axis=2)
+    ax.add_collection(LineCollection(lines, colors=g[0].color, lw=0.8, rasterized=True))
+    ax.autoscale()
+    return z
+
+
+def layers(ax, shares, colors):
+    """Draw the shares of a pixel (in percent) from front to back, and the light left after each."""
+    ax.bar(np.arange(1, len(shares) + 1), shares, 0.8, color=colors, edgecolor=GREY)
+    left, edges = [100, *100 - np.cumsum(shares)], np.arange(len(shares) + 2) + 0.4
+    ax.stairs(left, edges, color=ANCHOR, lw=3, baseline=None)
+
+
+def strip(ax, sizes, y, colors, height=0.7, labels=None):
+    """Draw {name: size} as one bar from 0 on, in {name: colour}.
+
+    `labels` is {name: (height of the text's upper end, text)}.
+    """
+    for end, (name, size) in zip(np.cumsum([*sizes.values()]), sizes.items()):
+        ax.barh(y, size, height, end - size, color=colors[name], edgecolor="white")
+        if labels:
+            ax.text(end - size / 2, *labels[name], ha="center", va="top", fontsize=14)
+
+
+def distribution(ax, mu, sigma, symbol, reach=14):
+    """Draw the probabilities of symbols, whose mean and deviation are in steps.
+
+    The bar of the one that was coded stands out. Returns its bits.
+    """
+    n = np.arange(-reach, reach + 1)
+    p = ndtr((n + 0.5 - mu) / sigma) - ndtr((n - 0.5 - mu) / sigma)
+    ax.bar(n, p, 0.85, color=np.where(n == symbol, CONTEXT, PALE))
+    return float(-np.log2(p[symbol + reach]))
+
+
+# --- whole figures --------------------------------------------------------------------------------
+def anchors(figure, model, camera, anchor, view):
+    """Anchors and children in canonical space, and the ellipses of the children; one stands out."""
+    left, right = figure.subplots(1, 2)
+    g, image = model.gaussians(None, camera), 0.5 * frame(model, camera, None) + 0.5
+    picture(left, np.ones_like(image), camera, **view)
+    left.set_title(f"{model.primitives} anchors (black), {len(g.x)} children (blue)")
+    families(left, model, camera, anchor)
+    picture(right, image, camera, **view, title="the children, drawn as Gaussians")
+    of_anchor = g.index // model.design.k == anchor
+    others = ~of_anchor
+    for which, colors, width in ((others, 0.7 * g.color[others], 1), (of_anchor, STEP, 4)):
+        ellipses(right, *splats(g, camera, which)[:2], fc="none", ec=colors, lw=width)
+
+
+def prediction(figure, file, camera, t, anchor, walk):
+    """The feature of an anchor, its Gaussians, and their colours as the cameras of `walk` see them.
+
+    `file` is a Quantised model. `walk` is {direction in degrees: camera}, in steps of one degree.
+    """
+    feature, family, colors = figure.subplots(1, 3, width_ratios=(1, 1.3, 1.5))
+    symbols = file.symbols[anchor, : file.model.design.d]
+    feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
+    feature.set(title=f"one feature:\n{len(symbols)} integers", xlabel="integer", yticks=())
+    g = file.model.gaussians(t, camera)
+    children = g.index // file.model.design.k == anchor
+    mean2d, cov2d, *_ = splats(g, camera, children)
+    x, y = middle = mean2d.mean(axis=0)
+    image = 0.3 * frame(file.model, camera, t, 20) + 0.7
+    picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 10, y - 10))
+    ellipses(family, mean2d, cov2d, fc=g.color[children], ec=STEP, lw=3)
+    family.set_title(f"its {children.sum()} Gaussians")
+    shades = np.array([file.model.gaussians(t, at).color[children] for at in walk.values()])
+    for i, away in enumerate(mean2d - middle, 1):
+        place = middle + away * (1 + 2.6 / np.linalg.norm(away))
+        family.text(*place, i, ha="center", va="center", weight="bold", size=22)
+        extent = (min(walk), max(walk), i + 0.4, i - 0.4)
+        colors.imshow(shades[None, :, i - 1], extent=extent, aspect="auto")
+    colors.set(
+        title="their colours, while\nthe camera walks around",
+        xlabel="direction of the camera (degrees)",
+        ylabel="Gaussian",
+        ylim=(i + 0.5, 0.5),
+        xticks=range(0, 361, 90),
+        yticks=range(1, i + 1),
+    )
+
+
+def time(figure, model, camera, t, view):
+    """Canonical space, the paths of all Gaussians over a second, and their heights."""
+    a, c, b = figure.subplot_mosaic("ac;bc", width_ratios=(1, 1.2)).values()
+    picture(a, frame(model, camera, None), camera, **view, title="canonical: no time yet")
+    image, times = 0.3 * frame(model, camera, t) + 0.7, np.linspace(0, 1, 61)
+    picture(b, image, camera, **view, title="the paths of one second")
+    figure.colorbar(paths(b, model, camera, times), ax=b, label="length of Δx", aspect=6)
+    moving = (np.ptp(heights(c, model, camera, times), axis=0) > 0.1).sum()
+    c.set(
+        title=f"heights: {moving} of {len(model.gaussians(t, camera).x)} Gaussians move",
+        xlabel="time t",
+        ylabel="height (scene units)",
+    )
+
+
+def pixel(figure, model, camera, t, at):
+    """One pixel (column, row), the Gaussians that it sees, and what each of them gives to it."""
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.3))
+    g, (x, y) = model.gaussians(t, camera), at
+    order, shares, behind = front_to_back(g, camera, at)
+    mixed = shares @ g.color[order] + behind * model.background
+    first, shares = order[shares > MIN_SHARE], shares[shares > MIN_SHARE]
+    image = 0.3 * frame(model, camera, t, 20) + 0.7
+    picture(left, image, camera, xlim=(x - 8, x + 8), ylim=(y + 8, y - 8))
+    ellipses(left, *splats(g, camera, first)[:2], fc="none", ec=0.8 * g.color[first], lw=4)
+    left.plot(x, y, "s", ms=24, mfc=mixed, mec=ANCHOR, mew=4)
+    left.set_title(f"one pixel sees {len(first)} of {len(g.x)} Gaussians")
+    layers(right, 100 * shares, g.color[first])
+    right.set(
+        title="bars: share of each Gaussian\nline: light that is left",
+        xlabel="Gaussians, from front to back",
+        ylabel="% of the pixel",
+    )
+
+
+def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
+    """The picture with coarser steps, its bytes and PSNR, and the values that features can have."""
+    axes = figure.subplots(2, len(factors), height_ratios=(2.2, 1)).T
+    Q_0, d = np.array(model.design.Q_0), model.design.d
+    for (top, bottom), factor in zip(axes, factors):
+        data = encode(replace(model, design=replace(model.design, Q_0=tuple(factor * Q_0))))
+        file = quantised_of(data)
+        scored_picture(top, file.model, data, camera, t, truth, view, f"steps × {factor}")
+        values, counts = np.unique(file.symbols[:, :d], return_counts=True)
+        bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
+        bottom.set(
+            title=f"{len(values)} values, {(counts < 0.001 * counts.sum()).sum()} below 0.1 %",
+            xlabel="feature, in multiples of\nthe left column's step",
+            ylabel="% of all",
+            xlim=(-25, 25),
+        )
+
+
+def knowledge(figure, file, level, side=160):
+    """Signs of the hash grid, sigma of the features at a height, and two symbols' distributions."""
+    a, b, *both = figure.subplot_mosaic("abc;abd", width_ratios=(1, 1, 1.05)).values()
+    model, d = file.model, file.model.design.d
+    (x, y, _), (x_end, y_end, _) = model.box
+    place = {"origin": "lower", "extent": (x, x_end, y, y_end)}
+    signs = model.grids[1][:, 0].reshape(2 * [model.design.grid[1][1]])
+    a.imshow(signs, cmap="gray_r", vmin=-1.6, vmax=1.6, **place)
+    a.set(
+        title=f"{signs.size} of {sum(map(np.size, model.grids)):,} signs,\nseen from above",
+        xlabel="x (scene units)",
+        ylabel="y (scene units)",
+    )
+    plane = np.meshgrid(np.linspace(x, x_end, side), np.linspace(y, y_end, side), level)
+    over = context_at(model, np.stack(plane, axis=3).reshape(-1, 3))
+    sigma = (over.sigma[:, :d] / over.q[:, :1]).mean(axis=1).reshape(side, side)
+    image = b.imshow(sigma, cmap=AMOUNT, **place)
+    figure.colorbar(image, ax=b, location="bottom", label="σ (steps)")
+    near = np.abs(model.anchors.x_a[:, 2] - level) < 0.15
+    b.plot(*model.anchors.x_a[near, :2].T, "o", color="white", mec=ANCHOR, ms=8)
+    b.set(title="σ that they predict,\nand anchors there", xlabel="x (scene units)")
+    at_anchors = context_at(model, model.anchors.x_a)
+    mu, sigma = (
+        values[:, :d] / at_anchors.q[:, :1] for values in (at_anchors.mu, at_anchors.sigma)
+    )
+    cheapest = symbol_bits(file)[:, :d].argmin()
+    for ax, word, i in zip(both, ("sure", "unsure"), (cheapest, sigma.argmax())):
+        bits = distribution(ax, mu.flat[i], sigma.flat[i], file.symbols[:, :d].flat[i])
+        ax.set(
+            title=f"{word}: σ = {sigma.flat[i]:.1f} steps\nthe integer costs {bits:.1f} bits",
+            xlabel="integer",
+            ylabel="probability",
+        )
+
+
+def bits(figure, data, camera, t, view):
+    """Every anchor of a file in the colour of its bits, and what the bits are spent on."""
+    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    model, whole = anchor_bits(data)
+    scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
+    image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
+    picture(left, image, camera, **view, title="anchors coloured by their bits")
+    figure.colorbar(scale, ax=left, location="bottom", label="bits")
+    coded = symbol_bits(quantised_of(data))
+    groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
+    table = np.column_stack([whole - coded.sum(axis=1), groups])
+    rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]
+    for i, row in enumerate(rows):
+        strip(right, dict(zip(PARTS, row)), i, PARTS)
+    costs = [
+        f"{w}:\n{sum(row):.0f} bits" for w, row in zip(("cheapest", "mean", "costliest"), rows)
+    ]
+    right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 4.4))
+    means = [f"{name}: {mean:.0f}" for name, mean in zip(PARTS, rows[1])]
+    right.legend(right.patches[: len(PARTS)], means, ncols=2, frameon=False, title="mean bits")
