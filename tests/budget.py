@@ -18,6 +18,7 @@ PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
     **dict.fromkeys(("splatting", "table", "model", "attributes", "effects"), "splatting, model"),
+    "random_inputs": "lab",
     "output": "scenes",
     **dict.fromkeys(
         ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"
@@ -67,6 +68,18 @@ def tokens_per_line(files):
         tokens += len(code)
         lines += len(set(code))
     return round(tokens / lines, 2)
+
+
+def imported(file, package=PACKAGE):
+    """The full dotted names that a file imports, at its top and inside functions."""
+    here = file.relative_to(package.parent).parts[:-1]
+    for node in inside(parse(file)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = here[: len(here) - node.level + 1] if node.level else []
+            start = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (f"{start}.{alias.name}" for alias in node.names)
 
 
 def room_of(file):

@@ -24,7 +24,7 @@ def few(values, count):
     """
     values = [value if type(value) is tuple else (value,) for value in values]
     rng = random.Random(f"{SEED}: {count} of {len(values)}")
-    short = rng.sample(range(len(values)), count)
+    short = rng.sample(range(len(values)), min(count, len(values)))
     return [
         pytest.param(*value, marks=() if i in short else pytest.mark.slow)
         for i, value in enumerate(values)

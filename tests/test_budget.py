@@ -14,6 +14,7 @@ from tests.budget import (
     PACKAGE,
     ROOT,
     budget,
+    imported,
     inside,
     is_docstring,
     parse,
@@ -34,6 +35,7 @@ WIDTH = 100
 ORDER = (
     "signals",
     "arithmetic",
+    "random_inputs",
     "equations",
     "splatting",
     "table",
@@ -64,18 +66,6 @@ def name_of(file):
 @cache
 def read(file):
     return file.read_text(encoding="utf-8")
-
-
-def imported(file, package=PACKAGE):
-    """The full dotted names that a file imports, at its top and inside functions."""
-    here = file.relative_to(package.parent).parts[:-1]
-    for node in inside(parse(file)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = here[: len(here) - node.level + 1] if node.level else []
-            start = ".".join([*base, *([node.module] if node.module else [])])
-            yield from (f"{start}.{alias.name}" for alias in node.names)
 
 
 def imported_rooms(file, package=PACKAGE):

@@ -199,7 +199,7 @@ assert seen(alone, True)[0] == seen(alone, False)[0]
 
 # %%
 from p4dgs_ref.equations import deformation, deformed, positional_encoding
-from p4dgs_ref.lab.random_inputs import random_field
+from p4dgs_ref.random_inputs import random_field
 
 rng = np.random.default_rng(25)
 field = random_field(rng, 2, 1, 6, 5)

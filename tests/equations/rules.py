@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from p4dgs_ref.table import Equation
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.golden import shape_comments
 
@@ -143,3 +144,9 @@ RULES = (
     backward_is_linear_and_finite,
     float32_stays_float32,
 )
+
+
+def altered(eq, **functions):
+    """A copy of an equation with another forward or backward."""
+    members = {name: staticmethod(function) for name, function in functions.items()}
+    return type("Altered", (Equation,), members)(*eq)

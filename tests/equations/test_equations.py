@@ -15,8 +15,8 @@ from p4dgs_ref.designs import EQUATIONS
 from p4dgs_ref.equations import likelihood
 from tests.equations import adjoint, rules
 from tests.equations.adjoint import close, is_float
+from tests.equations.rules import altered
 from tests.golden.cases import FLAGS, case_of, cases_of
-from tests.golden.checks import altered
 
 ALL = [
     pytest.param(eq, case, id=f"{key}-{case.name}")

@@ -15,6 +15,7 @@ from p4dgs_ref.oracle.tolerance import cotangents_of
 from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.checks import edited
 from tests.golden.sixty_digits import functions as f
+from tests.golden.sixty_digits.errors import error
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
 from tests.golden.sixty_digits.record import FILE, SAMPLES, measure, text
@@ -331,7 +332,7 @@ def lost(key, name, changes):
     """The errors of an equation with some of its text replaced."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALL_EQUATIONS, key, edited(key, changes))
-        return sixty.error(key, case_of(key, name), samples=SAMPLES)
+        return error(key, case_of(key, name), samples=SAMPLES)
 
 
 def test_mistakes_are_seen():
@@ -348,9 +349,7 @@ def test_mistakes_are_seen():
 def test_scale_and_range():
     case = Case("far", dict(x_a=np.array([[1e200, 1.0, 1.0]]), x_c=np.zeros(3)))
     with pytest.raises(OverflowError, match="float32"):
-        sixty.error("view", case, np.float32)
+        error("view", case, np.float32)
     case = cases_of("offsets")[0]
-    plain, halved = (
-        sixty.error("offsets", case, scale=s)["out.x"] for s in (None, {"out.x": 1e-3})
-    )
+    plain, halved = (error("offsets", case, scale=s)["out.x"] for s in (None, {"out.x": 1e-3}))
     assert 0 < plain < 0.1 * halved

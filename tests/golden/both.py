@@ -1,11 +1,14 @@
 """Models and files of both versions: of the paper's alone where the package has no `beyond`."""
 
+import pytest
+
 from p4dgs_ref import designs
 from p4dgs_ref.codec import container, file, header
 from p4dgs_ref.codec import quantise as paper
 from p4dgs_ref.model import Design, Model
 
 VERSIONS = (1, 2) if designs.HAS_OURS else (1,)
+NEEDS_OURS = pytest.mark.skipif(not designs.HAS_OURS, reason="the package has no `beyond`")
 
 
 def design_of(fields):

@@ -3,7 +3,7 @@
 from importlib import import_module
 
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
-from p4dgs_ref.table import Equation
+from tests.equations.rules import altered
 from tests.golden.mutate import rewritten
 
 
@@ -18,9 +18,3 @@ def edited(key, changes, helper=None):
         right, others = vars(import_module(helper)), rewritten(helper, changes)
         names.update({n: others[n] for n, a in right.items() if names.get(n) is a})
     return altered(eq, forward=names["forward"], backward=names["backward"])
-
-
-def altered(eq, **functions):
-    """A copy of an equation with another forward or backward."""
-    members = {name: staticmethod(function) for name, function in functions.items()}
-    return type("Altered", (Equation,), members)(*eq)

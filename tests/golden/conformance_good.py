@@ -5,9 +5,9 @@ The texts of GOOD are published in the manifest.
 
 import numpy as np
 
-from p4dgs_ref.beyond.positions import codes_of, of_16_bits
 from p4dgs_ref.codec.context import coding_context
 from p4dgs_ref.codec.quantise import Quantised, coded_columns
+from p4dgs_ref.designs import ours
 from p4dgs_ref.model import Anchors, Design, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from tests.golden.both import design_of, model_of
@@ -117,8 +117,9 @@ def coded_parts(seed, bits, lattice=None, box=None, anchors=9, **changes):
     parts = Parts(seed, anchors, position_bits=bits, **changes)
     m = parts.draw(0, 2**bits - 1, anchors, 3) if lattice is None else np.array(lattice)
     parts.box = box or parts.box
-    points = of_16_bits(m, bits)
-    parts.positions = points[codes_of(points, parts.box, bits).argsort(kind="stable")]
+    positions = ours("positions")
+    points = positions.of_16_bits(m, bits)
+    parts.positions = points[positions.codes_of(points, parts.box, bits).argsort(kind="stable")]
     return parts
 
 

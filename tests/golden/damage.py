@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.beyond.file import BASES
 from p4dgs_ref.codec.container import MAGIC, SECTIONS
-from p4dgs_ref.designs import layout, read_container
+from p4dgs_ref.designs import layout, ours, read_container
 from tests.golden.both import write_container
 
 # Values that a field of the header is set to, whatever its type.
@@ -183,7 +182,7 @@ def damage_header(rng, data, repaired):
     sections = read_container(data)
     fields = json.loads(sections["header"])
     if data[8] == 2:
-        fields = {**BASES[fields["as"]], **fields}
+        fields = {**ours("file").BASES[fields["as"]], **fields}
     for name in rng.choice([*fields], int(rng.integers(1, 4)), replace=False):
         how = rng.random()
         if how < 0.1:

@@ -17,10 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-import p4dgs_ref
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 
-ROOT = Path(p4dgs_ref.__file__).parent
 # Files that serve an equation, or several.
 HELPERS = {
     "grid_nodes": "hash_grid",

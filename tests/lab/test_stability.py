@@ -11,7 +11,7 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.table import EQUATIONS
-from tests.golden.checks import altered
+from tests.equations.rules import altered
 from tests.golden.hard_cases import catalogue
 
 

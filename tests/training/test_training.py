@@ -14,12 +14,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training import loop
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential
-from p4dgs_ref.training.presets import (
-    PAPER_REAL,
-    PAPER_SYNTHETIC,
-    SMOKE,
-    choose,
-)
+from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
 from tests import processes

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
-
 # The bug that each flag hunts. A case names only words of this table. Its texts are published with
 # the vectors.
 FLAGS = {
@@ -76,8 +74,8 @@ def without_view(inputs):
 
 def cases_of(key):
     """The cases of the equation with that key; none where it has no file of cases."""
-    module = f"{'tests.lab.baselines.cases' if key in BASELINE_EQUATIONS else __name__}.{key}"
-    return list(import_module(module).cases()) if find_spec(module) else []
+    modules = (f"{place}.{key}" for place in (__name__, "tests.lab.baselines.cases"))
+    return next((list(import_module(name).cases()) for name in modules if find_spec(name)), [])
 
 
 def case_of(key, name="ordinary"):

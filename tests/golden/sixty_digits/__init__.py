@@ -6,8 +6,7 @@ digits of a gradient may be trusted. `python -m tests.golden.sixty_digits.record
 equations against them.
 """
 
-from .errors import error
 from .floats import text, to_float
 from .gradients import gradient, value
 
-__all__ = ["error", "gradient", "text", "to_float", "value"]
+__all__ = ["gradient", "text", "to_float", "value"]
