@@ -105,13 +105,6 @@ def test_forms_of_the_renderer_count_their_pairs(errors):
     assert of_8[0] >= of_8[1] > of_8[2]
 
 
-def test_tables_have_errors_of_second_order_and_gradients_of_first(errors):
-    coarse, fine = (errors["likelihood_table"]["", n] for n in ("64", "4096"))
-    assert 0.3 < coarse["bits_error"] / fine["bits_error"] / 64**2 < 3
-    assert 0.3 < coarse["gradient_error"] / fine["gradient_error"] / 64 < 3
-    assert errors["likelihood"]["the declared domain", "literal"]["failed_share"] > 0.3
-
-
 # --- one model, written otherwise ----------------------------------------------------------------
 def test_fixed_steps_are_exactly_the_base_steps(short_model):
     Q_0 = np.array(short_model.design.Q_0)
