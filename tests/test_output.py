@@ -99,14 +99,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert place.read_bytes() == b"old" and [p.name for p in tmp_path.iterdir()] == ["x"]
 
 
-def test_new_files_have_the_usual_permissions(tmp_path):
-    (tmp_path / "usual").write_bytes(b"")
-    write_file(tmp_path / "x")
-    write_folder(tmp_path / "y")
-    modes = {path.name: path.stat().st_mode for path in tmp_path.iterdir()}
-    assert len(set(modes.values())) == 1, modes
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, number):
     replace, calls = os.replace, []

@@ -211,9 +211,9 @@ def test_every_command_has_its_function():
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error():
-    process = start("-m", "p4dgs_ref", "oracle", "equations")
-    process.stdout.close()  # before the first line is written
-    assert process.stderr.read() == "" and process.wait(timeout=60) == 0
+    with start("-m", "p4dgs_ref", "oracle", "equations") as process:
+        process.stdout.close()  # before the first line is written
+        assert process.stderr.read() == "" and process.wait(timeout=60) == 0
 
 
 def test_a_terminal_shows_progress_until_something_else_is_printed(monkeypatch, capsys):
@@ -232,8 +232,9 @@ def test_a_terminal_shows_progress_until_something_else_is_printed(monkeypatch, 
 def test_a_pipe_is_not_waited_for(tmp_path):
     (tmp_path / "answers").mkdir()
     os.mkfifo(tmp_path / "answers/likelihood.safetensors")
-    process = start(*"-m p4dgs_ref oracle check answers --only likelihood".split(), cwd=tmp_path)
-    assert process.wait(timeout=60) == 1
+    line = "-m p4dgs_ref oracle check answers --only likelihood"
+    with start(*line.split(), cwd=tmp_path) as process:
+        assert process.wait(timeout=60) == 1
 
 
 LONG = "--preset smoke --set stage_ends=9,9,9,90000000 --set anchors=2"

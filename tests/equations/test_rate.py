@@ -1,11 +1,13 @@
 """Eqs. (9) to (13): pieces and regimes, what is refused, and zeros."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.equations import (
+    anchor_rate,
     grid_nodes,
     hash_grid,
     hash_rate,
@@ -112,3 +114,16 @@ def test_hash_rate_of_agreeing_signs(dtype, rows, sign):
     (R_hash, _, _), saved = hash_rate.forward(grids)
     assert R_hash == 0
     assert not any(grid.any() for grid in hash_rate.backward(saved, dtype(3))["grids"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype, error", [("float64", 1e-11), ("float32", 1.2e-7)])
+def test_a_hundred_million_bits_are_added_up(dtype, error):
+    """H-R7: a sum in float32 that adds one number after the other is off by 1 %."""
+    row = (2 + np.sin(np.arange(100.0))).astype(dtype)
+    bits_f = np.broadcast_to(row, (10**6, 100))
+    none, no_children = np.zeros((10**6, 3), dtype), np.zeros((10**6, 0, 3), dtype)
+    R_anchor, _ = anchor_rate.forward(
+        bits_f=bits_f, bits_s=none, bits_l=none, bits_O=no_children, mask=no_children[..., 0] > 0
+    )
+    assert float(R_anchor) == pytest.approx(10**6 * math.fsum(row.tolist()), rel=error)

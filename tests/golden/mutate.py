@@ -10,16 +10,15 @@ import ast
 import importlib
 from contextlib import contextmanager
 from functools import cache
+from importlib.util import find_spec
 from os.path import commonprefix
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-import p4dgs_ref
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 
-ROOT = Path(p4dgs_ref.__file__).parent
 # Files that serve an equation, or several.
 HELPERS = {
     "grid_nodes": "hash_grid",
@@ -153,8 +152,8 @@ def parsed(module):
 
 
 def source(module):
-    """The text of a file of the package."""
-    return Path(ROOT.parent, *module.split(".")).with_suffix(".py").read_text(encoding="utf-8")
+    """The text of a file of the package or of the tests."""
+    return Path(find_spec(module).origin).read_text(encoding="utf-8")
 
 
 def owner_of(statement):

@@ -106,18 +106,6 @@ def test_silent_units_change_no_picture(name, monkeypatch):
     assert without_silent_units(seeing) is seeing
 
 
-def test_one_unit_is_kept_where_all_are_silent():
-    trainer = trained("static", "occlusion")
-    model = trainer.model()
-    for net in ANCHOR_NETWORKS:
-        for b in model.networks[net][1][:-1]:
-            b[:] = -100
-    slim = without_silent_units(model)
-    assert slim.design.hidden == (1, 1)
-    view = trainer.scene.test[0]
-    assert np.array_equal(slim.render(view.camera, 0), model.render(view.camera, 0))
-
-
 @pytest.mark.slow
 def test_static_needs_less_than_with_everything_on():
     """Bytes, counted work and quality of `static`, a tenth of a training, over two seeds."""

@@ -349,38 +349,3 @@ def test_mutations_of_our_code(judge, hasty):
 def test_more_mutations_of_our_code(judge):
     counts = survey(judge, of_one_equation())
     assert counts.total() >= 100 and counts["silent"] > counts["explained"] > 0
-
-
-def mixed(rng, mistakes, cases):
-    """The answers of a port that has another of some mistakes in every case and direction."""
-    answers = []
-    for case in cases:
-        got = {}
-        for role in doctor.ROLES.values():
-            stored = rng.choice(mistakes).answers.get(case.name, {})
-            got |= {
-                n: stored.get(n, a) for n, a in expected(case.tensors).items() if n.startswith(role)
-            }
-        answers.append((case, got, wrong_names(case, got)))
-    return answers
-
-
-@pytest.mark.parametrize("key, seed", few([(key, n) for key in EQUATIONS for n in range(6)], 10))
-def test_mixtures_of_known_mistakes(key, seed):
-    """Two mistakes in turns, of which one may be in most of the cases."""
-    rng = random.Random(f"{key} {seed}")
-    two = rng.sample(doctor.known(key), 2)
-    answers = mixed(rng, [two[0]] * rng.choice([1, 2, 4]) + two[1:], published.cases(key))
-    assert contradictions(doctor.diagnose(key, answers), answers) == []
-
-
-def test_a_contradiction_is_seen():
-    """Answers with which a mistake agrees, then the same with one array changed."""
-    mistake = next(m for m in doctor.known("offsets") if m.id == "offsets-not-scaled")
-    answers = mixed(random.Random(0), [mistake], published.cases("offsets"))
-    diagnoses = doctor.diagnose("offsets", answers)
-    assert verdict(diagnoses) == "explained" and contradictions(diagnoses, answers) == []
-    got = answers[0][1]
-    got["out.x"] = 1.01 * got["out.x"]
-    assert len(contradictions(diagnoses, answers)) == 1
-    assert verdict(doctor.diagnose("offsets", answers)) == "hint"

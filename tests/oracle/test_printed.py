@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.oracle import checker, published, report, safetensors
+from p4dgs_ref.oracle import checker, published, safetensors
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected
 from tests.golden import printed
@@ -58,19 +58,6 @@ def test_the_formulas_as_printed_are_acceptable_or_not_judged_and_fail_strictly(
     assert {r.recipe for r in results.results} <= {"", scales.RECIPES.get(key)}
 
 
-def test_the_report_says_so():
-    results, strictly = (judged("deformed", np.float64, strict) for strict in (False, True))
-    message = "right formula, fewer digits here; the recipe is: |r| by hypot"
-    assert message in str(results) and message in str(strictly)
-    assert "acceptable: deformed/H-G5.nearly_w, " in str(results)
-    assert "every required case passes or is acceptable" in str(results)
-    rows = {row["id"]: row for row in report.as_json(results)["cases"]}
-    row = rows["deformed/H-P2.zero"]
-    assert row["verdict"] == "acceptable" and row["required"] and row["recipe"] and row["worst"]
-    assert row["explanation"] is None and rows["deformed/ordinary"]["recipe"] is None
-    assert "explained by" not in str(strictly), "the doctor does not look for a mistake"
-
-
 def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
     got = {case.name: as_printed(case, np.float64) for case in published.cases("tanh")}
     write(tmp_path, tanh={f"{case}/{n}": a for case, of in got.items() for n, a in of.items()})
@@ -109,19 +96,6 @@ def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
         result = checker.judge_answer(case, {**right, name: gone})
         near_zero = value == 0 and result.verdict == "pass"  # 0 may be within the bound
         assert near_zero or result.verdict == "acceptable" or name in result.unasked
-
-
-@pytest.mark.parametrize("dtype", PRECISIONS)
-def test_equal_images_have_a_scale(dtype):
-    """The S of their gradient is 0; roundings of 1 - SSIM are acceptable there, more is not."""
-    case = case_of("render_loss/identical")
-    assert not case.tensors["scale.in_bar.image"].any()
-    right = {n: a.astype(dtype) for n, a in expected(case.tensors).items()}
-    eps = np.finfo(dtype).eps
-    for size, verdict in (0, "pass"), (eps / 10, "acceptable"), (1e4 * eps, "fail"):
-        got = {**right, "in_bar.image": right["in_bar.image"] + dtype(size)}
-        assert checker.judge_answer(case, got).verdict == verdict
-        assert checker.judge_answer(case, got, strict=True).wrong == bool(size)
 
 
 # --- the data -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
-from p4dgs_ref.oracle.ports import FolderPort, PortError
+from p4dgs_ref.oracle.ports import FolderPort
 from tests.golden.vectors import stream_records
 from tests.sampling import few
 
@@ -246,20 +246,6 @@ def test_a_port_that_reads_some_of_version_2_must_read_all(folder, why):
     assert [*check(folder)] == VALID_2
 
 
-def test_version_2_left_out_excuses_nothing_else(folder):
-    """Neither an invalid stream that is accepted, nor one of version 1, nor a damaged answer."""
-    forget(folder, [*VALID_2, "full"], "no")
-    file = folder / "codec" / "refusals.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"coded_far": None}))
-    assert {n: r.verdict for n, r in check(folder).items()} == {"full": "fail", "coded_far": "fail"}
-    forget(folder, ["coded_far"])
-    (folder / "codec" / f"{VALID_2[2]}.safetensors").write_bytes(b"no tensors")
-    forget(folder, ["full"])
-    forget(folder, VALID_2[:2] + VALID_2[3:], "no")
-    file.write_text(json.dumps(json.loads(file.read_text()) | {VALID_2[2]: None}))
-    assert {*check(folder)} == {"full", "coded_far", *VALID_2}
-
-
 class Decoder:
     """A port in this process that accepts all, refuses all, or is right."""
 
@@ -289,20 +275,6 @@ def test_through_a_process(tmp_path):
     script.write_text(DECODER)
     with Adapter(shlex.join([sys.executable, str(script)]), timeout=60) as port:
         assert {r.verdict for r in streams.check(port)} == {"pass"}
-
-
-def test_a_process_may_skip_version_2():
-    """A port that looks at the version alone skips `wrong_version` too, but has to refuse it."""
-
-    class Skips(Decoder):
-        def decode(self, name, data):
-            if data[8:9] == b"\2":
-                raise PortError("skipped", "not written yet")
-            return super().decode(name, data)
-
-    report = checker.Report(streams.check(Skips("")))
-    assert {r.id[6:] for r in report.results if not r.required} == set(VERSION_2)
-    assert [r.id for r in report.results if r.wrong] == ["codec/wrong_version"]
 
 
 def test_the_manifest_says_where_and_what(tmp_path):

@@ -15,11 +15,13 @@ from p4dgs_ref.report.inspect import components
 from tests.sampling import of_the_day
 
 THIN = Path(__file__).parent / "thin_scenes"
-# Scene: least PSNR in dB, least SSIM, most bytes, of the paper's design and seed 0.
+# Scene: preset, least PSNR in dB, least SSIM, most bytes, of the paper's design and seed 0. Of
+# twocams, the best picture that does not move and what the left camera sees have 5 dB less.
 PROMISED = {
-    "figure": (30.5, 0.978, 50_000),
-    "glossy": (32.0, 0.978, 50_000),
-    "static": (33.0, 0.978, 30_000),
+    "figure": ("tiny", 30.5, 0.978, 50_000),
+    "glossy": ("tiny", 32.0, 0.978, 50_000),
+    "static": ("tiny", 33.0, 0.978, 30_000),
+    "twocams": ("tiny_real", 26.0, 0.96, 45_000),
 }
 # Least PSNR in dB of thin things that move, a few pixels among many white ones, as `tiny_coded`
 # draws them. A white picture has 18.7, 15.0, 16.1 and 21.4 dB.
@@ -28,10 +30,10 @@ SPARSE = {"rods": 23.0, "leaf": 23.0, "fence": 23.0, "hoop": 25.0}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", of_the_day(PROMISED))
-def test_tiny_preset_reaches_its_quality(name):
-    psnr_db, ssim, most_bytes = PROMISED[name]
+def test_a_preset_reaches_its_quality(name):
+    preset, psnr_db, ssim, most_bytes = PROMISED[name]
     scene = p4.load_scene(name)
-    data = p4.encode(p4.train(scene, "tiny", seed=0))
+    data = p4.encode(p4.train(scene, preset, seed=0))
     metrics, *_ = p4.evaluate(p4.decode(data), scene)
     print(f"{name}: {metrics['psnr_db']:.2f} dB, SSIM {metrics['ssim']:.4f}, {len(data)} bytes")
     assert metrics["psnr_db"] >= psnr_db and metrics["ssim"] >= ssim and len(data) <= most_bytes

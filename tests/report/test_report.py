@@ -257,14 +257,6 @@ def explode(task):
 
 
 @pytest.mark.slow
-def test_results_keep_the_order_of_their_tasks():
-    found = list(in_processes(place, [0.3, 0.0, 0.1], 2))
-    assert [seconds for seconds, _ in found] == [0.3, 0.0, 0.1]
-    assert os.getpid() not in {process for _, process in found}
-    assert {process for _, process in in_processes(place, [0.0, 0.0], 1)} == {os.getpid()}
-
-
-@pytest.mark.slow
 def test_no_process_is_left_behind():
     before = set(multiprocessing.active_children())
     results, start = in_processes(place, [0.0, 300.0, 300.0], 2), time.monotonic()

@@ -131,18 +131,6 @@ def test_which_pictures_are_read(folder):
         assert view.camera.f_x == 10 / downscale
 
 
-def test_a_size_that_the_ratio_does_not_divide(folder):
-    """15 x 11 pixels become 7 x 6; each axis keeps its own scale."""
-    shutil.rmtree(folder / "rgb")
-    write_pictures(folder, 2, 7, 6)
-    for i, name in enumerate(LEFT + RIGHT):
-        write(folder / f"camera/{name}.json", lens(i, image_size=[15, 11]))
-    camera = load_scene(folder).train[0].camera
-    lens_found = (camera.f_x, camera.f_y, camera.c_x, camera.c_y)
-    wanted = (20 * 7 / 15, 25 * 6 / 11, 7 * 7 / 15 - 0.5, 6.5 * 6 / 11 - 0.5)
-    np.testing.assert_allclose(lens_found, wanted, rtol=1e-12)
-
-
 DISTORTED = {
     "radial": {"radial_distortion": [-0.3, 0.2, 0.1]},
     "tangential": {"tangential_distortion": [0.04, -0.03]},

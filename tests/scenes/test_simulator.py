@@ -45,13 +45,6 @@ def changed(**changes):
     return read_description({**copy.deepcopy(FULL), **changes})
 
 
-SHAPES = [
-    {"kind": "sphere", "radius": 0.7, "center": [0.1, -0.2, 0.3]},
-    {"kind": "box", "half": [0.5, 0.3, 0.8], "center": [-0.2, 0.1, 0.0]},
-    {"kind": "capsule", "start": [-0.4, 0.2, -0.5], "end": [0.5, -0.3, 0.6], "radius": 0.35},
-]
-
-
 def test_rays_parallel_to_faces_and_axes():
     box, capsule = (
         changed(bodies=[{**SPHERE, "shape": shape}]).bodies[0].shape

@@ -6,8 +6,6 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.designs import train
-from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import read_description
@@ -65,18 +63,3 @@ def test_twocams_is_read_as_it_was_drawn():
     left, right = (eyes[side].center - description.cameras.target for side in ("left", "right"))
     cosine = left @ right / np.linalg.norm(left) / np.linalg.norm(right)
     assert np.degrees(np.arccos(cosine)) == pytest.approx(4.53, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_training_on_twocams_finds_the_other_view():
-    """No picture is as good: neither the best that does not move nor what the left camera sees."""
-    scene = load_scene("twocams")
-
-    def without_model(picture_of):
-        return np.mean([psnr(picture_of(view), view.image) for view in scene.test])
-
-    still = np.mean([view.image for view in scene.test], axis=0)
-    training_images = {view.time: view.image for view in scene.train}
-    psnr = evaluate(train(scene, "tiny_real"), scene)[0]["psnr_db"]
-    assert psnr > 26 and psnr > 2 + without_model(lambda view: still)
-    assert psnr > 5 + without_model(lambda view: training_images[view.time])

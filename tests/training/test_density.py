@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from p4dgs_ref.model import snap
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training import density
-from p4dgs_ref.training.presets import PAPER_SYNTHETIC, SMOKE, TINY
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from p4dgs_ref.training.trainer import Trainer
 
 SCAFFOLD = replace(PAPER_SYNTHETIC, k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
@@ -99,16 +98,6 @@ def test_scaffold_clears_only_what_it_has_judged(scene):
     assert after.visits.sum() == 80 and after.opacity.sum() == 200
 
 
-def test_growing_ends_before_grow_until(scene, monkeypatch):
-    """Scaffold-GS compares strictly at both ends: 1,600 to 14,900."""
-    trainer, grown = prepared(scene, SCAFFOLD)[0], []
-    added = {name: trainer.parameters[name][:0] for name in density.ROWS}
-    monkeypatch.setattr(density, "grow", lambda *_: grown.append(trainer.iteration) or added)
-    for trainer.iteration in range(1400, 15_200, 100):
-        trainer.adjust()
-    assert grown == list(range(1600, 15_000, 100))
-
-
 def test_rows_stay_together_when_anchors_come_and_go(scene):
     trainer, _ = prepared(scene, TINY)
     for _ in range(3):
@@ -160,28 +149,3 @@ def test_reseeding_copies_where_the_image_pulls(scene):
         p, trainer.adam.first, trainer.adam.second, dead, statistics, np.random.default_rng(0)
     )
     assert np.array_equal(p.vector, before)  # without gradients nothing moves
-
-
-@pytest.mark.parametrize("grow", ["scaffold", "reseed"])
-def test_training_survives_growing_in_every_stage(scene, grow):
-    """With short windows and low thresholds, anchors come and go in all four stages."""
-    preset = replace(
-        SMOKE,
-        grow=grow,
-        grow_from=4,
-        grow_every=5,
-        grow_until=46,
-        mask_from=10,
-        voxel=0.02,
-        gradient_threshold=1e-7,
-        success=0.2,
-        min_opacity=0.02,
-    )
-    trainer, counts = Trainer(scene, preset), set()
-    while trainer.iteration < preset.iterations:
-        losses, _, _ = trainer.step()
-        counts.add(len(trainer.mask))
-        assert np.isfinite(losses.L_total) and len(trainer.mask) == len(trainer.parameters["x_a"])
-    assert len(counts) > (1 if grow == "scaffold" else 0) and not trainer.mask.all()
-    x = trainer.parameters["x_a"]
-    assert np.allclose(x, snap(x, *trainer.box)[1], atol=1e-6)

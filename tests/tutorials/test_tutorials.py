@@ -18,7 +18,6 @@ from tutorials.tools import gallery, notebooks, shared, syllabus
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
-NAMES = {tutorial.name for tutorial in TUTORIALS}
 INDEX = (FOLDER / "README.md").read_text(encoding="utf-8")
 RUN = """
 import json, runpy, sys

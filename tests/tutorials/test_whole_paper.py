@@ -14,10 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from p4dgs_ref.equations import hash_grid, prior, rounding
+from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.scenes import MODEL_EFFECTS
 from p4dgs_ref.scenes.scene import View
-from p4dgs_ref.splatting import compositing
 from p4dgs_ref.splatting.camera import Camera
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
@@ -49,54 +48,6 @@ def close(mine, theirs, tolerance=1e-12):
 
 
 # --- what the whole loss below does not reach -----------------------------------------------------
-def test_compositing_clamps_as_the_package_does(whole):
-    rng = np.random.default_rng(0)
-    N, middle = 7, (whole.SIZE - 1) / 2
-    mean, c = 5 * rng.normal(size=(N, 2)), rng.random((N, 3))
-    a, d = rng.uniform(0.02, 0.3, (2, N))
-    conic = np.stack([a, 0.5 * np.sqrt(a * d), d], axis=1)
-    mean[0] = 0.5  # on a pixel, where its opacity reaches the clamp
-    alpha = np.array([0.999, *rng.uniform(0.1, 0.9, N - 1)])
-    mine, back = whole.compositing(mean, conic, alpha, c)
-    (theirs, _), saved = compositing.forward(
-        mean + middle,
-        conic,
-        alpha,
-        c,
-        np.arange(N),
-        np.ones(N, bool),
-        whole.BACKGROUND,
-        whole.SIZE,
-        whole.SIZE,
-    )
-    bar = rng.normal(size=theirs.shape)
-    close(mine, theirs.reshape(-1, 3))
-    g = compositing.backward(saved, bar)
-    names = "mean2d", "conic", "alpha", "color"
-    for gradient, name in zip(back(bar.reshape(-1, 3)), names, strict=True):
-        close(gradient, g[name])
-
-
-def test_hash_grid_is_that_of_the_package_outside_the_box(whole):
-    rng = np.random.default_rng(0)
-    x_a = rng.uniform(-1.4, 1.4, (5, 3))  # some are outside the box
-    grid = rng.uniform(-1.2, 1.2, (whole.RESOLUTION**3, whole.F))
-    box = np.full(3, -whole.BOX), np.full(3, whole.BOX)
-    mine, back = whole.hash_grid(whole.node_weights(x_a), whole.signs(grid))
-    theirs, saved = hash_grid.forward(x_a, *box, [grid], [("xyz", whole.RESOLUTION)])
-    bar = rng.normal(size=theirs.shape)
-    close(mine, theirs)
-    free = np.abs(grid) <= 1  # in `context` of the tutorial
-    close(back(bar) * free, hash_grid.backward(saved, bar)["grids"][0])
-
-
-def test_rounding_is_that_of_the_package(whole):
-    rng = np.random.default_rng(0)
-    f, q = rng.normal(size=(5, whole.n)), rng.uniform(0.1, 1, (5, 4))
-    symbols = whole.rounding(f, q)
-    for i in range(4):
-        group = whole.GROUP == i
-        assert np.array_equal(symbols[:, group], rounding.forward(f[:, group], q[:, [i]])[0][0])
 
 
 # --- the whole loss -------------------------------------------------------------------------------

@@ -120,13 +120,3 @@ def test_the_last_gaussian_stays(scene):
     for _ in range(4):
         trainer.step()
     assert trainer.primitives == 3
-
-
-def test_extent_of_cameras():
-    def views(*centers):
-        cameras = (SimpleNamespace(center=np.array(c, float)) for c in centers)
-        return [SimpleNamespace(camera=camera) for camera in cameras]
-
-    x = np.array([[0.0, 0, 0], [0, 0, 4]])
-    assert explicit.extent_of(views((0, 0, 0), (0, 6, 0), (0, 0, 0)), x) == pytest.approx(1.1 * 4)
-    assert explicit.extent_of(views((1, 2, 3), (1, 2, 3)), x) == pytest.approx(1.1 * 2)
