@@ -35,7 +35,6 @@ from .splatting.settings import FAST, Settings
 ANCHOR_NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s")
 CONTEXT_NETWORKS = ("psi_p", "psi_q")
 LATTICE = 2**16 - 1  # positions have 16 bits per axis over the bounding box (Q14)
-MAX_NUMBERS = 2**25  # of a model: a file may not declare more
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ PACKAGE = ROOT / "p4dgs_ref"
 SHARED = {
     **dict.fromkeys(("splatting", "table", "model", "attributes", "effects"), "splatting, model"),
     "random_inputs": "lab",
+    "limits": "scenes",
     "output": "scenes",
     **dict.fromkeys(
         ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"

@@ -35,6 +35,7 @@ WIDTH = 100
 ORDER = (
     "signals",
     "arithmetic",
+    "limits",
     "random_inputs",
     "equations",
     "splatting",

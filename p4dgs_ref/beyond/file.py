@@ -62,8 +62,8 @@ from ..codec import file, header, quantise
 from ..codec.container import CRC, MAGIC, SECTIONS, require, require_magic
 from ..codec.header import in_json, integer
 from ..codec.plain import Form
+from ..limits import MAX_FILE_BYTES
 from ..model import Anchors
-from ..scenes.scene import MAX_FILE_BYTES
 from .model import Design, Model
 from .networks import default_steps
 from .positions import codes_of, read_positions, snap, write_positions

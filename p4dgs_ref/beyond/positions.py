@@ -1,8 +1,8 @@
 """B2: positions of few bits per axis, sorted along a curve through the box.
 
 Only the gaps between sorted positions are coded. The anchors of a model may stand in any order, and
-the order of A anchors is worth log2(A!) bits. Sorted anchors need not pay for it. All other sections
-follow the same order.
+the order of A anchors is worth log2(A!) bits. Sorted anchors need not pay for it. All other
+sections follow the same order.
 
 LATTICE. B is the header's `position_bits`, and L = 2^B - 1. The file holds coordinates m on a
 lattice of B bits, from 0 to L. Everything else on this page uses positions of 16 bits, namely

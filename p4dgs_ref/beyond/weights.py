@@ -43,7 +43,7 @@ from ..codec.container import require
 from ..codec.gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from ..codec.plain import networks_of, require_finite
 from ..codec.streams import decode_symbols, encode_gaussian, find_entries, ideal_bits_gaussian
-from ..scenes.scene import MAX_STEPS
+from ..limits import MAX_STEPS
 from .networks import step_of_code
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)

@@ -44,7 +44,7 @@ import os
 import struct
 import zlib
 
-from ..scenes.scene import MAX_FILE_BYTES
+from ..limits import MAX_FILE_BYTES
 
 MAGIC = b"\x89P4D\r\n\x1a\n"
 VERSION = 1

@@ -46,8 +46,17 @@ import json
 import numpy as np
 
 from ..attributes import ATTRIBUTES
-from ..model import CONTEXT_NETWORKS, MAX_NUMBERS, Design, declared_numbers
-from ..scenes.scene import MAX_ANCHORS, MAX_ENTRIES, MAX_HEADER_BYTES, MODEL_EFFECTS
+from ..limits import (
+    MAX_ANCHORS,
+    MAX_ENTRIES,
+    MAX_HEADER_BYTES,
+    MAX_LAYERS,
+    MAX_NUMBERS,
+    MAX_OF,
+    MAX_WIDTH,
+)
+from ..model import CONTEXT_NETWORKS, Design, declared_numbers
+from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
 AXES = ("xyz", "xy", "xz", "yz")
@@ -183,20 +192,20 @@ def level(name, value):
 
 
 EFFECT = field(lambda value: value in MODEL_EFFECTS, f"some of {', '.join(MODEL_EFFECTS)}")
-WIDTHS = list_of(integer(2**14), 0, 8)  # of hidden layers
+WIDTHS = list_of(integer(MAX_WIDTH), 0, MAX_LAYERS)  # of hidden layers
 FIELDS = {
     "anchors": integer(MAX_ANCHORS),
     "background": list_of(real(-(2.0**20), 2.0**20), 3, 3),
-    "d": integer(4096),
-    "k": integer(256),
+    "d": integer(MAX_OF["d"]),
+    "k": integer(MAX_OF["k"]),
     "hidden": WIDTHS,
     "deformation": WIDTHS,
-    "L_x": integer(64),
-    "L_t": integer(64),
+    "L_x": integer(MAX_OF["L_x"]),
+    "L_t": integer(MAX_OF["L_t"]),
     "context": WIDTHS,
     "grid": list_of(level, 1, 64),
-    "table": list_of(integer(2**24), 2, 2),
-    "F": integer(64),
+    "table": list_of(integer(MAX_ENTRIES), 2, 2),
+    "F": integer(MAX_OF["F"]),
     "Q_0": list_of(real(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
     "tau_alpha": real(-1.0, 1.0),
     "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),

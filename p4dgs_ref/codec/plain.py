@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..scenes.scene import MAX_BOX
+from ..limits import MAX_BOX
 from .container import require, require_encodable
 from .header import read_header, write_header
 

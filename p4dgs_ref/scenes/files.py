@@ -21,9 +21,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
+from ..limits import MAX_ANCHORS, MAX_COORDINATE, MAX_JSON_BYTES
 from ..output import write_atomically
 from .fields import SceneError, require
-from .scene import MAX_ANCHORS, MAX_COORDINATE, MAX_JSON_BYTES, as_float, over_background, size_of
+from .scene import as_float, over_background, size_of
 
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "

@@ -7,11 +7,12 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from ..limits import MAX_LENS
 from ..output import write_atomically
 from . import dnerf, hypernerf
 from .fields import numbers, require
 from .files import read_json, read_points
-from .scene import MAX_LENS, MODEL_EFFECTS, Scene, background_color, model_effects
+from .scene import MODEL_EFFECTS, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"
 

@@ -11,18 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..limits import MAX_COORDINATE, MAX_LENS, MIN_LENS
 from ..splatting.camera import Camera
 from .fields import REQUIRED, choice, fields, list_of, numbers, require
-
-# How much a scene and a file may hold, so that a damaged one costs neither time nor memory. The
-# codec's format page states the limits of a file; a port has to keep to them.
-MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
-MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
-MAX_JSON_BYTES = 2**27  # a view takes about 500
-MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14
-MAX_ANCHORS, MAX_ENTRIES = 2**22, 2**24  # entries of the hash grid
-MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
-MAX_SYMBOL, MAX_STEPS = 2**31, 2**15 - 1  # magnitudes of a symbol, and of a weight's
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (

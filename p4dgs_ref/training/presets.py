@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from ..model import MAX_NUMBERS, declared_numbers
+from ..limits import MAX_ENTRIES, MAX_LAYERS, MAX_NUMBERS, MAX_OF, MAX_WIDTH
+from ..model import declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
@@ -24,8 +25,8 @@ def between(least, most):
 def layers(most):
     """The requirement on the widths of a network or the resolutions of a grid."""
     return (
-        f"at most {most} numbers from 1 to 16384",
-        lambda value: len(value) <= most and all(1 <= n <= 2**14 for n in value),
+        f"at most {most} numbers from 1 to {MAX_WIDTH}",
+        lambda value: len(value) <= most and all(1 <= n <= MAX_WIDTH for n in value),
     )
 
 
@@ -76,24 +77,28 @@ class Preset:
     anchors: int = row(10_000, 200, POSITIVE, "Scaffold-GS (Q28)", "random points at the start")
     extent: float = row(1.3, 1.0, POSITIVE, "Scaffold-GS (Q28)", "in [-extent, extent]^3")
     voxel: float = row(0.001, 0.001, POSITIVE, "paper", "epsilon: points merge on this lattice")
-    d: int = row(16, 16, between(1, 4096), "paper", "width of a feature")
-    k: int = row(10, 4, between(1, 256), "paper", "children of an anchor")
+    d: int = row(16, 16, between(1, MAX_OF["d"]), "paper", "width of a feature")
+    k: int = row(10, 4, between(1, MAX_OF["k"]), "paper", "children of an anchor")
     hidden: tuple = row(
-        (32, 32), (32, 32), layers(8), "paper", "of anchor networks: 2 layers of 2d"
+        (32, 32), (32, 32), layers(MAX_LAYERS), "paper", "of anchor networks: 2 layers of 2d"
     )
     deformation: tuple = row(
-        (192, 192), (64, 64), layers(8), "paper (Q1)", "hidden widths of psi_d"
+        (192, 192), (64, 64), layers(MAX_LAYERS), "paper (Q1)", "hidden widths of psi_d"
     )
-    L_x: int = row(10, 4, between(1, 64), "D3DGS (Q2)", "frequencies of x")
-    L_t: int = row(6, 4, between(1, 64), "D3DGS (Q2)", "frequencies of t")
+    L_x: int = row(10, 4, between(1, MAX_OF["L_x"]), "D3DGS (Q2)", "frequencies of x")
+    L_t: int = row(6, 4, between(1, MAX_OF["L_t"]), "D3DGS (Q2)", "frequencies of t")
     context: tuple = row(
-        (32, 32), (16, 16), layers(8), "paper", "psi_p and psi_q: two layers of 2d"
+        (32, 32), (16, 16), layers(MAX_LAYERS), "paper", "psi_p and psi_q: two layers of 2d"
     )
     grid_3d: tuple = row(HAC_3D, (8,), layers(16), "HAC (Q11)", "resolutions")
     grid_2d: tuple = row(HAC_2D, (16,), layers(16), "HAC (Q11)", "resolutions in each plane")
-    table_3d: int = row(2**13, 2**13, between(1, 2**24), "HAC (Q11)", "most nodes of a 3D level")
-    table_2d: int = row(2**15, 2**15, between(1, 2**24), "HAC (Q11)", "most nodes of a 2D level")
-    F: int = row(4, 2, between(1, 64), "HAC (Q11)", "bits of a node")
+    table_3d: int = row(
+        2**13, 2**13, between(1, MAX_ENTRIES), "HAC (Q11)", "most nodes of a 3D level"
+    )
+    table_2d: int = row(
+        2**15, 2**15, between(1, MAX_ENTRIES), "HAC (Q11)", "most nodes of a 2D level"
+    )
+    F: int = row(4, 2, between(1, MAX_OF["F"]), "HAC (Q11)", "bits of a node")
     tau_alpha: float = row(0.0, 0.0, between(0, 1), "Scaffold-GS (Q4)", "least opacity drawn")
     feature_std: float = row(0.0, 0.1, NOT_NEGATIVE, "Scaffold-GS (Q28)", "of the initial features")
     opacity_bias: float = row(0.0, 0.3, NOT_NEGATIVE, AS_PARENTS, "added to psi_alpha's last bias")

@@ -8,8 +8,9 @@ import pytest
 
 from p4dgs_ref.codec.container import SECTIONS, BitstreamError, EncodeError
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
-from p4dgs_ref.codec.header import MAX_NUMBERS, check_work, declared_numbers
+from p4dgs_ref.codec.header import check_work, declared_numbers
 from p4dgs_ref.designs import HAS_OURS, PRESETS, decode, encode, read_container
+from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of

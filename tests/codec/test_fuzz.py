@@ -13,11 +13,12 @@ from p4dgs_ref.codec import container
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
-from p4dgs_ref.codec.header import MAX_NUMBERS, declared_numbers
+from p4dgs_ref.codec.header import declared_numbers
 from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
 from p4dgs_ref.designs import decode, encode, quantised_of, read_container
+from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal

@@ -10,9 +10,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from ...limits import MAX_COORDINATE
 from ..fields import REQUIRED, choice, fields, list_of, numbers, one_of, require, text, typed
 from ..files import read_json
-from ..scene import COLOR, MAX_COORDINATE, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
+from ..scene import COLOR, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
 
 def direction(value, where):
