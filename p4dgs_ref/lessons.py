@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .attributes import ATTRIBUTES
 from .oracle import published
 from .oracle.checker import Report, check, check_subject
 from .oracle.ports import FunctionPort
@@ -133,9 +134,10 @@ def at_stage_4(trainer, model):
     These are its anchors and the networks that draw. The trainer has as many anchors as the model.
     """
     (arrays, values), anchors = trainer.state(), model.anchors
-    new = {name: getattr(anchors, name) for name in ("x_a", "f_a", "O_a")}
-    for name in ("s_a", "l_a"):
-        new[f"log_{name[0]}"] = np.log(np.maximum(getattr(anchors, name), 1e-4))
+    new = {"x_a": anchors.x_a}
+    for row in ATTRIBUTES:
+        values_a = getattr(anchors, row.name)
+        new[row.parameter] = np.log(np.maximum(values_a, 1e-4)) if row.is_log else values_a
     for name in model.networks.keys() - {"psi_p", "psi_q"}:
         for kind, layers in zip("Wb", model.networks[name]):
             new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}

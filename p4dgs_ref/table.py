@@ -13,6 +13,8 @@ from typing import Any, Callable, NamedTuple
 
 import numpy as np
 
+from .attributes import GROUPS
+
 
 class Equation(NamedTuple):
     """One row of the table."""
@@ -194,10 +196,10 @@ _ROWS = (
     Equation(
         "anchor_rate",
         "13",
-        "R_anchor = sum of the bits of f, s, l, O over all anchors",
+        f"R_anchor = sum of the bits of {', '.join(GROUPS)} over all anchors",
         "p4dgs_ref.equations.anchor_rate",
         ("R_anchor",),
-        ("bits_f", "bits_s", "bits_l", "bits_O"),
+        tuple(f"bits_{group}" for group in GROUPS),
     ),
     Equation(
         "hash_rate",

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 
+from ..attributes import ATTRIBUTES
 from ..splatting import render
 from ..splatting.settings import FAST
 from ..training.loop import COLUMNS
@@ -12,10 +13,7 @@ STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
     "header": "header",
     "positions": "anchor positions",
-    "features": "features f",
-    "scales": "scales s",
-    "offset_scales": "offset scales l",
-    "offsets": "offsets O",
+    **{row.section: row.label for row in ATTRIBUTES},
     "masks": "masks",
     "hash_grid": "hash grid",
     "deformation_mlp": "deformation MLP",

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...attributes import ATTRIBUTES
 from ...beyond import model as ours
 from ...beyond.networks import step_code
 from ...codec.quantise import quantise
 from ...equations.prior import layout
 from ...model import Model, join
 from ...splatting.settings import FAST, PAPER
+from ...training.presets import TINY
 from .. import StudyError
 from . import forms
 
@@ -44,7 +46,7 @@ def field(name, label, values, base, changes, spent="seconds"):
 
 def steps_times(factor):
     """The base steps of `tiny`, times a factor."""
-    return dict(Q_f=0.25 * factor, Q_s=0.01 * factor, Q_l=0.01 * factor, Q_O=0.1 * factor)
+    return {row.base_step: factor * getattr(TINY, row.base_step) for row in ATTRIBUTES}
 
 
 # Of the knobs of formulas: a loss that does not matter, its unit, and what is saved.

@@ -15,6 +15,7 @@ time is left out of the paper's whole method.
 
 from dataclasses import replace
 
+from ...attributes import ATTRIBUTES
 from ...effects import MOTION
 from ...report.figures import write_csv
 from ...training.presets import TINY
@@ -46,7 +47,7 @@ AFTER_LAST = TINY.iterations  # later than every iteration
 WITHOUT_RATE = {  # stage 3 goes on to the end, and the noise is too small to change anything
     "stage_ends": (*TINY.stage_ends[:2], AFTER_LAST, AFTER_LAST),
     "mask_from": AFTER_LAST,
-    **dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), 2.0**-40),
+    **dict.fromkeys((row.base_step for row in ATTRIBUTES), 2.0**-40),
 }
 AUTHORS = baselines.choose("d3dgs")
 THEIR_NETWORK = ("deformation", "time_net", "skip", "L_x", "L_t")  # fields of the Design

@@ -323,7 +323,7 @@ def load_plain(path):
     *names, _ = record.dtype.names
     p = Parameters({name: record[name] for name in names}, float)
     attributes = [p[name] for name in Anchors._fields[:-1]]
-    anchors = Anchors(*attributes, mask=np.ones(attributes[-1].shape[:2], bool))
+    anchors = Anchors(*attributes, mask=np.ones(p["O_a"].shape[:2], bool))
     networks = dict.fromkeys(name.split(".")[0] for name in names if "." in name)
     design = literal_eval(record["design"].item().decode())
     form = d3dgs_network if "time_net" in design else paper
