@@ -3,8 +3,8 @@
 All lists of attributes follow from this table: fields of `model.Anchors`, names and learning rates
 of parameters, rows that density control moves, base steps, columns of the coder and sections of the
 file. A new attribute needs a row here, its base step and learning rates in `training.presets`, an
-id for its section in `codec.container`, its bits in Eq. (13), and a use in `model.predict`. Its files
-are another format: readers of today's refuse them.
+id for its section in `codec.container`, its bits in Eq. (13), and a use in `model.predict`. Its
+files are another format, which other readers refuse.
 """
 
 from math import prod
