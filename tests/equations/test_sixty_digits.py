@@ -283,7 +283,7 @@ def test_reference(key, name):
 @pytest.mark.parametrize("key, name", CASES)
 def test_reference_at_many_elements_and_in_float32(key, name):
     """The record has every element, which takes minutes for an image."""
-    compare(key, name, "float64", 4 * SAMPLES)
+    compare(key, name, "float64", SAMPLES)
     compare(key, name, "float32", SAMPLES)
 
 

@@ -164,9 +164,13 @@ def judgements(case, dtype):
                 yield name, checker.judge_answer(case._replace(tensors=alone), got)
 
 
+# What holds of the arrays of a training holds of those of its every step, which take a minute.
+KEYS = [key for key in published.subjects() if not key.endswith("_steps")]
+
+
 @pytest.mark.parametrize(
     "key, dtype",
-    few([(key, t) for key in published.subjects() for t in ("float64", "float32")], 10),
+    few([(key, t) for key in KEYS for t in ("float64", "float32")], 10),
 )
 def test_no_wrong_tensor_passes(key, dtype):
     """Nor is it acceptable: where the printed formula is as far off, the tensor is not judged."""
