@@ -19,7 +19,7 @@ from .. import effects as fx
 from ..output import destination, locked, write_atomically
 from ..signals import deferred
 from .loop import Progress, psnr
-from .presets import Preset
+from .presets import Preset, rows_of
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
@@ -125,9 +125,15 @@ def fingerprint(views, text=""):
 
 
 def identity(trainer):
-    """What a checkpoint has in common with every training that goes on from it, as JSON values."""
+    """What a checkpoint has in common with every training that goes on from it, as JSON values.
+
+    A field that only presets of another class have is left out where it is as the paper has it.
+    """
+    preset, rows = trainer.preset, rows_of(trainer.preset)
+    others = rows.keys() - rows_of(Preset).keys()
+    off = {name for name in others if getattr(preset, name) == rows[name].default}
     return {
-        **{f"preset.{name}": value for name, value in vars(trainer.preset).items()},
+        **{f"preset.{name}": value for name, value in vars(preset).items() if name not in off},
         "seed": trainer.seed,
         "effects": list(trainer.design.effects),
         "background": [float(c) for c in trainer.scene.background],
@@ -180,8 +186,11 @@ def go_on(trainer, folder, common):
     Raises RunError with the first field in which their identities differ.
     """
     arrays, values = load_checkpoint(folder)
-    for field, ours in json.loads(json.dumps(common)).items():
-        if values.get(field) != ours:
+    common = json.loads(json.dumps(common))
+    # A preset of another class may have fields that this one lacks.
+    of_presets = (name for name in values if name.startswith("preset."))
+    for field in dict.fromkeys((*common, *of_presets)):
+        if values.get(field) != common.get(field):
             raise RunError(
                 f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with "
                 "another one; pass what the training was started with, or choose a new output "

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.beyond import body
-from p4dgs_ref.designs import PRESETS, trainer_of, what_is_lost
+from p4dgs_ref.designs import PRESETS, fit, trainer_of, what_is_lost
+from p4dgs_ref.training.fit import RunError
 from tests.training.bars import Share, moving, scene
 
 TINY_CODED = PRESETS["tiny_coded"]
@@ -57,3 +58,15 @@ def test_stage_3_keeps_what_the_model_at_rest_draws_wrong():
     assert trainer.factors == [8, 16]
     drawn[...] = view.image
     assert (trainer.weight_of(view) == 1).all() and trainer.factors == [8, 1]
+
+
+@pytest.mark.parametrize("first", [{}, {"body": True}])
+def test_a_training_does_not_go_on_with_or_without_the_weight(tmp_path, first):
+    second = {} if first else {"body": True}
+    ends = {"stage_ends": (1, 2, 3, 4)}
+    fit(moving(), "smoke", 0, folder=tmp_path, **ends, **first)
+    with pytest.raises(
+        RunError, match=r"field 'preset\.body': the checkpoint was made with another"
+    ):
+        fit(moving(), "smoke", 0, folder=tmp_path, resume=True, **ends, **second)
+    fit(moving(), "smoke", 0, folder=tmp_path, resume=True, **ends, **first)
