@@ -18,7 +18,10 @@ from p4dgs_ref.lab.writer import means
 from tests.budget import ROOT
 from tutorials.tools import records
 
-PAGES = ("README.md", "tutorials/reference.md", "tutorials/tour.md")
+PAGES = (
+    *("README.md", "tutorials/reference.md", "tutorials/tour.md"),
+    "p4dgs_ref/beyond/README.md",
+)
 MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=\n\n|<!--|\Z)", re.DOTALL)
 NUMERAL = re.compile(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
 UNQUOTED = re.compile(r"`[^`]*`|\]\([^)]*\)")  # names and links
