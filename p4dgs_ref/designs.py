@@ -161,7 +161,7 @@ def decode(data: bytes) -> Model:
 
     Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.
     """
-    return quantised_of(data).model
+    return (ours("file") if has_version_2(data) else file).decode(data)
 
 
 def has_version_2(data: bytes) -> bool:
