@@ -17,9 +17,10 @@ from tests import ROOT
 PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
-    **dict.fromkeys(("splatting", "table", "model", "attributes", "effects"), "splatting, model"),
+    **dict.fromkeys(
+        ("splatting", "table", "model", "attributes", "effects", "limits"), "splatting, model"
+    ),
     "random_inputs": "lab",
-    "limits": "scenes",
     "output": "scenes",
     **dict.fromkeys(
         ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"

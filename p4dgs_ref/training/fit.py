@@ -129,9 +129,9 @@ def identity(trainer):
 
     A field that only presets of another class have is left out where it is as the paper has it.
     """
-    preset, rows = trainer.preset, rows_of(trainer.preset)
-    others = rows.keys() - rows_of(Preset).keys()
-    off = {name for name in others if getattr(preset, name) == rows[name].default}
+    preset = trainer.preset
+    others = (row for name, row in rows_of(preset).items() if name not in rows_of(Preset))
+    off = {row.name for row in others if getattr(preset, row.name) == row.default}
     return {
         **{f"preset.{name}": value for name, value in vars(preset).items() if name not in off},
         "seed": trainer.seed,

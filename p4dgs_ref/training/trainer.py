@@ -54,6 +54,7 @@ def tagged(arrays, tag):
 class Trainer(Loop):
     """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
+    # What another design may have instead:
     learning_rates = LEARNING_RATES
     first_stage = FIRST_STAGE
     design_of = staticmethod(design_of)
