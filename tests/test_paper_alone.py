@@ -23,7 +23,9 @@ KEPT = (  # of the tests, which need neither published vectors nor baselines
     *("equations", "numerics", "splatting", "scenes", "simulator", "training"),
     *("density", "pipeline_gradient", "file", "container", "entropy_coder", "conformance", "fuzz"),
 )
-OURS = re.compile(r"\bB[123]\b|is_coded|coded design|version 2|(import|from) .*\bbeyond\b")
+OURS = re.compile(
+    r"\bB[123]\b|is_coded|coded design|version 2|p4dgs_ref\.beyond|(import|from) .*\bbeyond\b"
+)
 
 
 def test_the_rooms_of_the_paper_hold_the_paper():

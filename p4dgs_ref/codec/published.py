@@ -17,9 +17,9 @@ objects:
            (`state_too_small`: byte 1; `idle_high_word`: byte 5, as its section begins with a
            probability).
 
-A port must read these streams, but for those whose names begin with `coded_`. They are not the
-paper's (`python -m p4dgs_ref.beyond`), and a port may refuse or skip all of them; if it reads one
-of the valid ones, it must read all of them.
+A port must read these streams, but for those whose names begin with `coded_`. They are not of this
+page, and a port may refuse or skip all of them; if it reads one of the valid ones, it must read all
+of them.
 
 Types are u8, u16, i32, i64, f32, f64, and bit: eight to a byte, the lowest bit first, the last byte
 filled with zeros. Symbols reach 2^31 and mu_units 2^34; they are stored as i64 where i32 is too
