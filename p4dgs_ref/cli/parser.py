@@ -479,7 +479,9 @@ def run(argv, start):
     """
     arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings():
+        # In one line, at once; the place in the code means nothing to a user.
+        warnings.showwarning = lambda message, *place, **stream: caution(message)
         try:
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
@@ -494,9 +496,5 @@ def run(argv, start):
             if not type(error).__module__.startswith("p4dgs_ref."):
                 raise
             code, message = 2, error
-        finally:
-            # In one line each; the place in the code means nothing to a user.
-            for warning in caught:
-                caution(warning.message)
     say(message)
     return code

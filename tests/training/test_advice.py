@@ -69,7 +69,11 @@ def test_training_warns_before_and_after():
 
 
 @pytest.mark.filterwarnings("always:views")
-def test_the_command_line_prints_a_warning_as_one_line(capsys, monkeypatch):
-    monkeypatch.setattr(text, "presets", lambda *args: warnings.warn("views:\x1b\nfew"))
+def test_the_command_line_prints_a_warning_at_once_and_as_one_line(capsys, monkeypatch):
+    working = "the work goes on"
+    monkeypatch.setattr(
+        text, "presets", lambda *args: warnings.warn("views:\x1b\nfew") or cli.say(working)
+    )
     assert cli.run(["presets"], 0.0) == 0
-    assert capsys.readouterr().err == "p4dgs-ref: warning: views:\\x1b\\nfew\n"
+    told = capsys.readouterr().err.splitlines()
+    assert told == ["p4dgs-ref: warning: views:\\x1b\\nfew", f"p4dgs-ref: {working}"]
