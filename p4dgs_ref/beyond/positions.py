@@ -39,7 +39,7 @@ import numpy as np
 
 from ..codec import rans
 from ..codec.container import require
-from ..codec.plain import BOX_BYTES, read_box
+from ..codec.plain import BOX_BYTES, read_box, write_box
 from ..codec.streams import (
     MAX_GAMMA,
     expect_end,
@@ -91,7 +91,7 @@ def write_positions(model, positions):
         np.concatenate([gaps & (1 << r) - 1, high]),
         np.concatenate([np.full(len(gaps), r), widths]),
     )
-    return np.concatenate(box).astype("<f4").tobytes() + bytes([r]) + coded
+    return write_box(box) + bytes([r]) + coded
 
 
 def read_positions(data, count, design):

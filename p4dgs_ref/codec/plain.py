@@ -36,7 +36,7 @@ def valid_box(lo, hi):
 
 def write_positions(model, positions):
     """The box, and the positions [A, 3] as uint16."""
-    return np.concatenate(model.box).astype("<f4").tobytes() + positions.astype("<u2").tobytes()
+    return write_box(model.box) + positions.astype("<u2").tobytes()
 
 
 def read_positions(data, A, design):
@@ -44,7 +44,13 @@ def read_positions(data, A, design):
     size = BOX_BYTES + 6 * A
     message = f"expected {size} bytes for {A} anchors, found {len(data)}"
     require(len(data) == size, "positions", len(data), message)
-    return read_box(data), np.frombuffer(data, "<u2", offset=24).astype(np.int64).reshape(A, 3)
+    positions = np.frombuffer(data, "<u2", offset=BOX_BYTES)
+    return read_box(data), positions.astype(np.int64).reshape(A, 3)
+
+
+def write_box(box):
+    """The corners lo and hi [3] of the box, with which the section positions begins."""
+    return np.concatenate(box).astype("<f4").tobytes()
 
 
 def read_box(data):

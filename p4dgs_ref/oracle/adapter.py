@@ -238,12 +238,9 @@ class Child:
             code = self.process.wait(0.5)
         except subprocess.TimeoutExpired:
             return running
-        return PortError(
-            "died",
-            "the process ended without an answer: "
-            f"{f'killed by signal {-code}' if code < 0 else f'exit code {code}'}"
-            f"{', in the middle of a line' if line else ''}",
-        )
+        how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+        middle = ", in the middle of a line" if line else ""
+        return PortError("died", f"the process ended without an answer: {how}{middle}")
 
     def end(self, grace):
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""

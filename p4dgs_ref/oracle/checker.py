@@ -187,10 +187,12 @@ def _shared(results):
     subject, that case contradicts it.
     """
     sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-    return [
-        r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject
-        else r
-        for r in results
-        for source in [sources.get(r.equation, r)]
-    ]
+    return [_with_explanation_of(sources.get(r.equation, r), r) for r in results]
+
+
+def _with_explanation_of(source, result):
+    """Return a result, with the explanation of another subject's where it failed without one."""
+    has_none = not (result.explanation or result.hint or result.recipe)
+    if result.findings and has_none and result.subject != source.subject:
+        return result._replace(explanation=f"{source.explanation} (seen in {source.id})")
+    return result

@@ -108,7 +108,7 @@ def diagnose(subject, answers):
 
 def explain(mistakes, answers, part=""):
     """Return a Diagnosis of every mistake that agrees with a failing case and with all others."""
-    failing, right = ([row for row in answers if bool(row[2]) == wrong] for wrong in (True, False))
+    failing, right = [row for row in answers if row[2]], [row for row in answers if not row[2]]
     diagnoses = [
         Diagnosis(
             mistake,

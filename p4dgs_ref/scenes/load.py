@@ -41,8 +41,8 @@ def load_scene(
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    files = "transforms_train.json", hypernerf.SPLITS
-    return [os.path.lexists(folder / file) for file in files] == [False, True]
+    is_dnerf = os.path.lexists(folder / "transforms_train.json")
+    return os.path.lexists(folder / hypernerf.SPLITS) and not is_dnerf
 
 
 def read_points_for(scene, path):
