@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import safetensors
-from .compare import PRECISIONS, deviations, precision
+from .compare import PRECISIONS, deviations, precision, symmetric_parts
 
 FOLDER = Path(__file__).with_name("mistakes_v1")
 LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
@@ -86,7 +86,7 @@ def diagnose(subject, answers):
     """
     # A tensor that is missing or extra neither agrees with a mistake nor contradicts it.
     answers = [
-        (case, got, [name for name in wrong if name in got and name in case.tensors])
+        (case, symmetric_parts(got), [n for n in wrong if n in got and n in case.tensors])
         for case, got, wrong in answers
     ]
     mistakes = known(subject) + _scaled(answers)

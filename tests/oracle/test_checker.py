@@ -17,7 +17,7 @@ from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.table import EQUATIONS
 from tests import processes
 from tests.golden.vectors import damaged
-from tests.oracle.answers import broken, right, write
+from tests.oracle.answers import Port, broken, right, write
 
 
 # --- the checker --------------------------------------------------------------------------------
@@ -83,6 +83,21 @@ def test_an_image_has_a_bound_for_all_its_pixels_together():
         wrong = got["out.image"] + 0.99 * bound * 2.0**-52 * scale
         result = checker.judge_answer(case, got | {"out.image": wrong})
         assert result.verdict == verdict and bounds["rms_eps_S"] < bounds["eps_S"]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("above, is_right", [(2, True), (1, False)])
+def test_of_the_gradient_of_a_symmetric_matrix_the_symmetric_part_counts(above, is_right, dtype):
+    """A port that reads only the upper triangle of Sigma gives it the whole gradient."""
+
+    def upper(_, got):
+        G = got["in_bar.Sigma"]
+        return {**got, "in_bar.Sigma": np.triu(G) + (above - 1) * np.triu(G, 1)}
+
+    port = Port(dtype=dtype, change=upper)
+    results = checker.check_subject(published.cases("projection"), port)
+    wrong = {finding.tensor for r in results if r.wrong for finding in r.findings}
+    assert wrong == (set() if is_right else {"in_bar.Sigma"})
 
 
 def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
