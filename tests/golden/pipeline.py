@@ -38,6 +38,7 @@ from tests.golden.flat import (
     networks_of,
     shapes_of,
 )
+from tests.golden.printed import with_printed_ssim
 from tests.golden.subjects import Subject, no_pullback
 
 MODEL = FOLDER / "model.p4dgs"
@@ -450,6 +451,7 @@ SUBJECTS = (
         trace_steps_vjp,
         trace_steps_cases,
         CONSTANTS,
+        twins=with_printed_ssim(trace_steps_vjp),
         group="inside",
     ),
     Subject(
@@ -468,6 +470,7 @@ SUBJECTS = (
         trace_vjp,
         trace_cases,
         CONSTANTS,
+        twins=with_printed_ssim(trace_vjp),
     ),
 )
 

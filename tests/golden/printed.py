@@ -17,9 +17,11 @@ divided by delta), and of MARGIN / (c eps) times the formula's own error in the 
 
 import zlib
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 
+from p4dgs_ref.equations import ssim
 from p4dgs_ref.lab.baselines.rotation_4d import product
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.compare import IMAGES, PRINTED, RECIPES, cast, deviations, expected
@@ -91,17 +93,33 @@ def averages(n):
     return np.where(np.abs(apart) <= 5, np.exp(-0.5 * (apart / 1.5) ** 2) / taps.sum(), 0)
 
 
-def similarity(image, truth):
+def by_products(a):
+    """The averages of an image [H, W], as two products with matrices."""
+    H, W = a.array.shape
+    return a.of(averages(H)) @ a @ averages(W)
+
+
+def by_convolution(a):
+    """The same as a sum of 11 x 11 shifted images. The window is symmetric: its own adjoint."""
+    H, W = a.array.shape
+    taps = averages(11)[5].astype(a.array.dtype)
+
+    def mean(image):
+        around = np.pad(image, 5)
+        return sum(
+            taps[i] * taps[j] * around[i : i + H, j : j + W] for i in range(11) for j in range(11)
+        )
+
+    return a.made(mean(a.array), (a, mean))
+
+
+def similarity(image, truth, mean=by_products):
     """The mean SSIM of Wang et al. with variances E[x**2] - mu**2."""
     H, W, C = image.array.shape
     total = 0
     for c in range(C):
         channel = np.eye(C)[:, [c]]
         x, y = ((a.reshape(H * W, C) @ channel).reshape(H, W) for a in (image, truth))
-
-        def mean(a):
-            return a.of(averages(H)) @ a @ averages(W)
-
         mu_x, mu_y = mean(x), mean(y)
         cov_xy = mean(x * y) - mu_x * mu_y
         var_x, var_y = mean(x * x) - mu_x * mu_x, mean(y * y) - mu_y * mu_y
@@ -109,6 +127,25 @@ def similarity(image, truth):
         below = (mu_x * mu_x + mu_y * mu_y + 0.01**2) * (var_x + var_y + 0.03**2)
         total = (above / below).sum() + total
     return total / float(H * W * C)
+
+
+def with_printed_ssim(vjp):
+    """Return two answers of the steps of a training that has `similarity` in place of our SSIM."""
+    return tuple(partial(_with_similarity, vjp, mean) for mean in (by_products, by_convolution))
+
+
+def _with_similarity(vjp, mean, inputs, cotangents):
+    def dissimilarity(image, truth, _=None):
+        x, y = (Value(np.asarray(a, image.dtype), np.asarray) for a in (image, truth))
+        alike = similarity(x, y, mean)
+        return (1 - alike).array, (alike, x)
+
+    def backward(saved, ssim_bar):
+        alike, x = saved
+        return {"image": tape.gradients([alike], [ssim_bar], [x])[0]}
+
+    with patch.multiple(ssim, dissimilarity=dissimilarity, backward=backward):
+        return published.flatten(vjp(**inputs)[0], "out.")
 
 
 def render_loss(image, truth, lambda_ssim):

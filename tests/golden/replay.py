@@ -34,6 +34,7 @@ from tests.golden.pipeline import (
     joined,
 )
 from tests.golden.pipeline import views_of as views_of_model
+from tests.golden.printed import with_printed_ssim
 from tests.golden.subjects import Subject, no_pullback
 
 ROLES = {"": "parameters", "m_": "first", "v_": "second"}
@@ -353,7 +354,7 @@ def shapes():
     }
 
 
-def subject(key, formula, cases):
+def subject(key, formula, cases, vjp=replay):
     return Subject(
         key,
         "L4",
@@ -362,20 +363,21 @@ def subject(key, formula, cases):
         formula,
         shapes(),
         (),
-        replay,
+        vjp,
         cases,
         {"arrays": list(ARRAYS), "beta_1": 0.9, "beta_2": 0.999, "epsilon": 1e-15},
         single=True,
         # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
         even=("out.x_a", *(f"out.x_a.{i}" for i in range(6))),
+        twins=with_printed_ssim(vjp),
     )
 
 
 OF_STATE = {name: axes for name, axes in shapes().items() if name in state_names()}
 SUBJECTS = (
     subject(
-        "training_steps", "state, views, noise -> state after every step", event_cases
-    )._replace(shapes=shapes() | each_step(OF_STATE), vjp=replay_steps, group="inside"),
+        "training_steps", "state, views, noise -> state after every step", event_cases, replay_steps
+    )._replace(shapes=shapes() | each_step(OF_STATE), group="inside"),
     subject("training", "state, views, noise -> state after an event", event_cases),
     subject("training_whole", "state, views, noise -> state after ten steps", whole_cases),
 )

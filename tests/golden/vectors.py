@@ -1,10 +1,10 @@
 """Makes the vectors: every case of every subject with inputs, outputs, cotangents and gradients.
 
-`python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors,
-and leaves all others as they are. `--again KEY` computes the published cases of a subject anew too,
-which is allowed until its version has been released. `python -m tests.golden.vectors DIR` computes
-all cases again into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export
-DIR` does with the published ones.
+`python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors.
+The tensors of all others stay as they are; their tolerances are measured anew, and may grow.
+`--again KEY` computes the published cases of a subject anew too, which is allowed until its version
+has been released. `python -m tests.golden.vectors DIR` computes all cases again into a folder and
+puts the codec's streams beside them, as `p4dgs-ref oracle export DIR` does with the published ones.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import scipy
 from p4dgs_ref import __version__
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
-from p4dgs_ref.oracle.compare import cast
+from p4dgs_ref.oracle.compare import cast, expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.oracle.streams import write_streams
 from p4dgs_ref.output import filled
@@ -34,13 +34,17 @@ FIRST, LATEST = "1.0", "1.2"
 # Everything else in the folder of the vectors is made here.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
-# Cases in which another answer is defensible: they are reported, but not required.
+# Cases in which another answer is defensible, and which answers are: they may lie `within` a
+# distance of `times` what is expected. A port may leave out such a case.
+OTHERS = "why", "others"
 ACCEPTABLE = {
     "sh_color/at_the_clamp": (
-        "the last digit of 0.28209479177387814 decides whether the colour is 0 or a little less"
+        "the last digit of 0.28209479177387814 decides whether the colour is 0 or a little less",
+        {"in_bar.sh": {"times": 0.0, "within": 0.0}},
     ),
     "frames/paper_settings": (
-        "the published kernel's rule: tiles of three sigma, mask at 1/255, stop before the splat"
+        "the published kernel's rule: tiles of three sigma, mask at 1/255, stop before the splat",
+        {"out.image": {"times": 1.0, "within": 0.02}},  # without the rule, 0.0101 at most
     ),
 }
 
@@ -53,10 +57,6 @@ def vector(subject, case):
     scale = tolerance.scales(steady(subject, case), case.inputs, cotangents, flat, case.name)
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
     scale |= {n: np.full_like(S, S.max()) for n, S in scale.items() if n in subject.even}
-    error = max(
-        measured.float32_error(answer, case.inputs, cotangents, flat, scale)
-        for answer in (subject.answer, *subject.twins)
-    )
     flat.update(better)
     bars = {name.removesuffix("_bar"): a for name, a in cotangents.items()}
     given = {**flatten(case.inputs, "in."), **flatten(bars, "out_bar.")}
@@ -65,13 +65,13 @@ def vector(subject, case):
         **flat,
         **{f"scale.{name}": a for name, a in scale.items()},
     }
+    error = measured.largest_error(subject, case.inputs, cotangents, tensors)
     record = {
         "id": id,
         "name": case.name,
         "tests": says(case),
         "flags": list(case.flags),
-        "result": "acceptable" if id in ACCEPTABLE else "valid",
-        **({"why": ACCEPTABLE[id]} if id in ACCEPTABLE else {}),
+        **result_of(id),
         **joining(id),
         "provenance": provenance,
         **({"reference": by_reference} if by_reference else {}),
@@ -79,6 +79,20 @@ def vector(subject, case):
         "tolerance": measured.tolerances(error, flat),
     }
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
+
+
+def renewed(subject, case):
+    """Return the record of a published case with its result as declared here.
+
+    Its tolerance is measured anew where right evaluations use up more than half of it.
+    """
+    error = measured.largest_error(subject, case.inputs(), case.cotangents(), case.tensors)
+    tolerance = case.record["tolerance"]
+    if measured.LARGEST >= error > tolerance["float64"]["eps_S"] / 2:
+        tolerance = measured.tolerances(error, expected(case.tensors))
+    rest = {name: a for name, a in case.record.items() if name not in ("result", *OTHERS)}
+    first = {name: rest.pop(name) for name in ("id", "name", "tests", "flags")}
+    return {**first, **result_of(case.id), **rest, "tolerance": tolerance}
 
 
 def steady(subject, case):
@@ -103,6 +117,13 @@ def joined():
     return {row["id"]: row["since"] for row in rows}
 
 
+def result_of(id):
+    """Return the fields of a record that say which answers may be right."""
+    if id not in ACCEPTABLE:
+        return {"result": "valid"}
+    return {"result": "acceptable", **dict(zip(OTHERS, ACCEPTABLE[id]))}
+
+
 def joining(id):
     """Return the field of a record that says since when it is there; none for version 1.0."""
     since = joined().get(id, LATEST)
@@ -125,15 +146,18 @@ def says(case):
     return f"{case.name.replace('_', ' ')}; hunts {hunted}"
 
 
-def subject_file(subject, kept):
+def subject_file(subject, kept, renew=False):
     """Return the bytes of a subject's file and its record for the manifest.
 
-    `kept` are cases {name: Golden} that are published and not computed again.
+    `kept` are cases {name: Golden} that are published and keep their tensors, and with `renew` not
+    their records.
     """
     records, tensors, names = [], {}, []
     for case in subject.cases():
         if case.name in kept:
-            record, arrays = dict(kept[case.name].record), kept[case.name].tensors
+            published_case = kept[case.name]
+            arrays = published_case.tensors
+            record = renewed(subject, published_case) if renew else dict(published_case.record)
         else:
             record, arrays = vector(subject, case)
         records.append(record)
@@ -161,12 +185,13 @@ def subject_file(subject, kept):
     return data, row
 
 
-def build(progress=lambda text: None, keep=False, again=()):
+def build(progress=lambda text: None, keep=False, again=(), renew=False):
     """Return every file of vectors, {name: bytes}, and the manifest.
 
     Raises ValueError where an equation lacks something.
 
-    With `keep`, the published cases stay as they are, except those of the subjects `again`.
+    With `keep`, the published cases stay as they are, except those of the subjects `again`, and
+    with `renew` except what their records say about right answers.
     """
     for line in filter(None, map(lacking, ALL_EQUATIONS)):
         raise ValueError(line)
@@ -175,7 +200,7 @@ def build(progress=lambda text: None, keep=False, again=()):
         progress(f"vectors of {subject.key}")
         is_known = keep and subject.key in published.subjects() and subject.key not in again
         kept = {case.name: case for case in published.cases(subject.key)} if is_known else {}
-        data, row = subject_file(subject, kept)
+        data, row = subject_file(subject, kept, renew)
         files[row["file"]] = data
         rows.append(row)
     manifest = {
@@ -238,9 +263,9 @@ def flags():
     return rows
 
 
-def write(folder, progress=lambda text: None, keep=False, again=()):
+def write(folder, progress=lambda text: None, keep=False, again=(), renew=False):
     """Write the vectors into an existing folder; return the manifest. See `build`."""
-    files, manifest = build(progress, keep, again)
+    files, manifest = build(progress, keep, again, renew)
     files["manifest.json"] = _json(manifest)
     files["FLAGS.json"] = _json(flags())
     for name, data in files.items():
@@ -339,7 +364,7 @@ def main():
         regenerate(arguments.folder, print)
         return
     refuse_released(arguments.again)
-    write(FOLDER, print, keep=True, again=arguments.again)
+    write(FOLDER, print, keep=True, again=arguments.again, renew=True)
     write_ids(arguments.again)
 
 

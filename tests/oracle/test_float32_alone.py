@@ -10,6 +10,7 @@ from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.checker import Report, check_subject
 from p4dgs_ref.oracle.compare import change_floats
 from p4dgs_ref.oracle.report import as_json
+from tests.golden.measured import single
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mistakes.__main__ import answers
 from tests.golden.subjects import subjects
@@ -24,39 +25,6 @@ NOT_FOUND = "rounding-float32", "projection-near-inclusive"
 FOUND = [m for m in MISTAKES if m.subject in KEYS and m.id not in NOT_FOUND]
 
 SOME = "projection", "likelihood"
-
-
-class Single(np.ndarray):
-    """An array of float32 numbers. What is computed from it is float32 too, whatever is asked."""
-
-    def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
-        return single(getattr(ufunc, method)(*plain(inputs), **plain(keywords)))
-
-    def __array_function__(self, function, _, inputs, keywords):
-        return single(function(*plain(inputs), **plain(keywords)))
-
-    def astype(self, dtype, **_):
-        return single(np.asarray(self).astype(plain(dtype)))
-
-
-def plain(value):
-    """Return arrays as NumPy's own, and float32 for float64; an `out` keeps its memory."""
-    if isinstance(value, (list, tuple)):
-        return type(value)(map(plain, value))
-    if isinstance(value, dict):
-        return {name: plain(a) for name, a in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return np.asarray(value, np.float32 if value.dtype == np.float64 else None)
-    is_type = isinstance(value, (type, np.dtype)) and value in (float, np.float64)
-    return np.float32 if is_type else value
-
-
-def single(value):
-    """Return arrays, and those of a list or tuple, as Singles."""
-    if isinstance(value, (list, tuple)):
-        return type(value)(map(single, value))
-    value = plain(value)
-    return value.view(Single) if isinstance(value, np.ndarray) else value
 
 
 def alone(answer):

@@ -12,8 +12,10 @@ import pytest
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, safetensors
 from p4dgs_ref.oracle import compare as scales
-from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.compare import change_floats, expected
 from tests.golden import printed
+from tests.golden.measured import single
+from tests.golden.subjects import subjects
 from tests.oracle.answers import Port, case_of, in_precision, ours, write
 from tests.sampling import few
 
@@ -58,6 +60,25 @@ def test_the_formulas_as_printed_are_acceptable_or_not_judged_and_fail_strictly(
     assert {r.recipe for r in results.results} <= {"", scales.RECIPES.get(key)}
 
 
+WHOLE_STEPS = ("trace", "trace_steps", "training", "training_steps", "training_whole")
+
+
+@pytest.mark.parametrize("key", few(WHOLE_STEPS, 2))
+@pytest.mark.parametrize("alone", (False, True))
+@pytest.mark.parametrize("stock", (0, 1), ids=("products", "convolution"))
+def test_steps_of_training_may_have_the_printed_SSIM(key, alone, stock):
+    """Variances are E[x**2] - mu**2, in float64 and in float32 throughout, gradients included."""
+
+    def compute(case, _):
+        numbers = change_floats(case.tensors, single if alone else np.float64)
+        inputs = case._replace(tensors=numbers).inputs()
+        return subjects()[key].twins[stock](inputs, {})
+
+    port = Port(compute, np.float32 if alone else np.float64)
+    report = checker.Report(checker.check_subject(published.cases(key), port))
+    assert {r.verdict for r in report.results} == {"pass"}, str(report)
+
+
 def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
     got = {case.name: as_printed(case, np.float64) for case in published.cases("tanh")}
     write(tmp_path, tanh={f"{case}/{n}": a for case, of in got.items() for n, a in of.items()})
@@ -69,7 +90,6 @@ def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
 
 
 # --- wrong formulas -----------------------------------------------------------------------------
-
 
 RANGES = [
     (id, precision, name.removeprefix("range."))

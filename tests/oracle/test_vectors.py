@@ -7,7 +7,9 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import deviations
-from tests.golden import demo, vectors
+from tests.golden import demo, measured, vectors
+from tests.golden.subjects import subjects
+from tests.sampling import few
 
 # What may differ from the published manifest: bytes move with the last digits of numbers.
 MEASURED = ("files", "generator")
@@ -87,6 +89,31 @@ def test_only_what_is_not_released_is_computed_anew(monkeypatch):
         vectors.refuse_released(["kernel", "offsets"])
     monkeypatch.setattr(vectors, "LATEST", "1.1")  # before its release
     vectors.refuse_released(["kernel", "training"])
+
+
+def test_a_tolerance_may_grow_and_the_tensors_stay(monkeypatch):
+    monkeypatch.setattr(vectors, "vector", None)
+    kept = {case.name: case for case in published.cases("trace")}
+    before = kept["ten_steps"].record
+    narrow = {dtype: {"eps_S": 32} for dtype in ("float64", "float32")}
+    for tolerance in (before["tolerance"], narrow):
+        kept["ten_steps"] = kept["ten_steps"]._replace(record={**before, "tolerance": tolerance})
+        data, row = vectors.subject_file(subjects()["trace"], kept, renew=True)
+        assert data == (published.FOLDER / "trace.safetensors").read_bytes()
+        (record,) = row["cases"]
+        assert list(record) == list(before) and record["tolerance"].keys() == narrow.keys()
+        assert record["tolerance"]["float32"]["eps_S"] == before["tolerance"]["float32"]["eps_S"]
+
+
+# A training with SSIM as it is printed needed 289 eps S of 64, and the slopes of Eq. (11) 31 of 32.
+@pytest.mark.parametrize("key", few([k for k, s in subjects().items() if s.level != "L3"], 10))
+def test_right_evaluations_use_up_half_of_a_tolerance_at_most(key):
+    """In float64, in float32, and in float32 that asks for float64 nowhere."""
+    for case in published.cases(key):
+        given = case.inputs(), case.cotangents(), case.tensors
+        half = case.tolerance("float64")["eps_S"] / 2
+        is_single = case.tolerance("float32") is not None
+        assert measured.largest_error(subjects()[key], *given) <= half or not is_single, case.id
 
 
 def test_a_damaged_file_is_found(tmp_path):
