@@ -131,6 +131,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
     findings = findings_of(case, got, names) if names else []
     printed, mine = as_printed(case, got)
     mistaken = findings_of(printed, mine, names) if findings else []
+    mistaken = [f for f in mistaken if not is_defensible(case, got, f)]
     # Where a wrong answer would be as near, it means nothing to be as near as the printed formula.
     wide = printed.unasked(precision(got)) if findings and not strict else []
     vague = {f.tensor for f in findings if f.tensor in wide} - {f.tensor for f in mistaken}
@@ -139,18 +140,27 @@ def judge_answer(case, got, roles=ROLES, strict=False):
     if not findings:
         verdict = "pass" if names else "unasked"
     else:
-        verdict = "fail" if is_valid and (mistaken or strict) else "acceptable"
+        verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     return Result(
         case.id,
         case.equation,
         case.level,
         verdict,
-        required=is_valid and bool(names),
+        required=bool(names) and (is_valid or verdict == "fail"),
         findings=tuple(mistaken or findings),
         unasked=(*unasked, *sorted(vague)),
-        recipe=RECIPES[case.subject] if findings and not mistaken else "",
+        recipe=RECIPES[case.subject] if is_valid and findings and not mistaken else "",
         group=case.group,
     )
+
+
+def is_defensible(case, got, finding):
+    """Whether a wrong tensor is another answer that the case allows."""
+    name, others = finding.tensor, case.record.get("others", {})
+    if finding.kind != "value" or name not in others:
+        return False
+    distance = np.abs(got[name].astype(float) - others[name]["times"] * case.tensors[name])
+    return bool((distance <= others[name]["within"]).all())  # false for NaN
 
 
 def findings_of(case, got, names):

@@ -55,9 +55,9 @@ class Result(NamedTuple):
     id: str
     equation: str
     level: str
-    # pass; fail; acceptable (the printed formula is no better here or, where the case is not
-    # required, another answer is defensible); unasked (none of the case's tensors is judged); or
-    # the kind of a PortError
+    # pass; fail; acceptable (the printed formula is no better here or, where the case says so,
+    # another answer is defensible); unasked (none of the case's tensors is judged); or the kind of
+    # a PortError
     verdict: str
     required: bool
     findings: tuple = ()  # of Finding

@@ -13,7 +13,7 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, safetensors
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import change_floats, expected
-from tests.golden import printed
+from tests.golden import printed, vectors
 from tests.golden.measured import single
 from tests.golden.subjects import subjects
 from tests.oracle.answers import Port, case_of, in_precision, ours, write
@@ -90,6 +90,37 @@ def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
 
 
 # --- wrong formulas -----------------------------------------------------------------------------
+@pytest.mark.parametrize("id", vectors.ACCEPTABLE)
+@pytest.mark.parametrize("dtype", ("float64", "float32"))
+def test_a_case_with_several_right_answers_takes_those_alone(id, dtype):
+    case = case_of(id)
+    assert case.record["others"] == vectors.ACCEPTABLE[id][1]
+    right = in_precision(expected(case.tensors), dtype)
+
+    def verdict(got):
+        result = checker.judge_answer(case, {**right, **in_precision(got, dtype)})
+        assert result.wrong == (result.verdict == "fail")
+        return result.verdict
+
+    if case.tolerance(dtype) is None:
+        assert verdict({}) == "unasked"
+        return
+    assert verdict({}) == "pass"
+    for name, a in right.items():
+        other = case.record["others"].get(name, {"times": 1, "within": 0})
+        for wrong in (np.nan, 1e30, -1e30, np.inf):
+            assert verdict({name: np.full(a.shape, wrong)}) == "fail"
+            one = np.array(a)
+            one.flat[0] = wrong  # a single number
+            assert verdict({name: one}) == "fail"
+        assert verdict({name: a[:0]}) == "fail"
+        if other["times"] or other["within"]:
+            assert verdict({name: np.zeros(a.shape)}) == ("fail" if a.any() else "pass")
+        if name in case.record["others"]:
+            far = np.full(a.shape, 0.99 * other["within"])
+            assert verdict({name: other["times"] * a + far}) == "acceptable"
+            assert verdict({name: other["times"] * a + 1.01 * far + 1e-3}) == "fail"
+
 
 RANGES = [
     (id, precision, name.removeprefix("range."))
