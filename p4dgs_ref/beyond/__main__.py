@@ -4,10 +4,9 @@
 """
 
 import json
-import sys
 from textwrap import fill
 
-from ..codec.__main__ import numbered
+from ..codec.__main__ import numbered, print_page
 from . import file, positions, weights
 
 
@@ -15,13 +14,13 @@ def page():
     """The page as text."""
     bases = [f'"{name}": {json.dumps(base)}' for name, base in file.BASES.items()]
     texts = {
-        "file.py": file.__doc__ or "",
-        "positions.py": positions.__doc__ or "",
-        "weights.py": weights.__doc__ or "",
+        "file.py": file.__doc__,
+        "positions.py": positions.__doc__,
+        "weights.py": weights.__doc__,
         "Base designs": "\n\n".join(fill(base, 100) for base in bases),
     }
     return numbered("Version 2 of the file format of p4dgs_ref: what differs from version 1", texts)
 
 
 if __name__ == "__main__":
-    sys.stdout.write(page())
+    print_page(__package__, page)

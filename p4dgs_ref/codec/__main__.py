@@ -34,7 +34,7 @@ TABLES = {
 def page():
     """The format page as text."""
     texts = {
-        **{f"{name}.py": import_module(f".{name}", __package__).__doc__ or "" for name in PARTS},
+        **{f"{name}.py": import_module(f".{name}", __package__).__doc__ for name in PARTS},
         **{
             f"Table {name}": f"{meaning}\n\n{fill(' '.join(map(str, lookup_table(name))), 100)}"
             for name, meaning in TABLES.items()
@@ -53,5 +53,13 @@ def numbered(title, texts):
     return page
 
 
-if __name__ == "__main__":
+def print_page(room, page):
+    """Print the page of a room; exit code 2 where Python has removed the docstrings (-OO)."""
+    if sys.flags.optimize > 1:
+        sys.stderr.write(f"{room}: the page consists of docstrings; expected Python without -OO\n")
+        sys.exit(2)
     sys.stdout.write(page())
+
+
+if __name__ == "__main__":
+    print_page(__package__, page)

@@ -104,3 +104,10 @@ def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
 
 def test_python_m_codec_prints_the_page():
     assert processes.run("-m", "p4dgs_ref.codec").stdout == page()
+
+
+@pytest.mark.parametrize("room", ["codec", "beyond"])
+def test_a_page_of_docstrings_needs_docstrings(room):
+    printed = processes.run("-OO", "-m", f"p4dgs_ref.{room}")
+    assert (printed.returncode, printed.stdout, printed.stderr.count("\n")) == (2, "", 1)
+    assert printed.stderr.startswith(f"p4dgs_ref.{room}: ") and "-OO" in printed.stderr
