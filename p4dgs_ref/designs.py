@@ -56,6 +56,11 @@ def paper_preset(preset: Preset) -> Preset:
     return ours("presets").paper_preset(preset) if is_ours(preset) else preset
 
 
+def paper_name(preset: Preset) -> str:
+    """What the preset without what goes beyond the paper is called beside it."""
+    return "the paper's design" + " with k = 1" * (preset.k == 1)
+
+
 def beyond(preset: Preset) -> list[str]:
     """What goes beyond the paper in a preset, a sentence each."""
     return ours("presets").what_is_ours(preset) if is_ours(preset) else []
@@ -119,10 +124,10 @@ def train(
     `resume` training goes on from it. The progress line goes to `stream`.
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
-    fit, OutputError for a folder in which another training runs, and NotFinite with the first
-    equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise KeyboardInterrupt
-    after the current iteration, a second one at once. Warns of a scene with few training views, and
-    where what moves is hardly better than in the mean of the training pictures.
+    fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
+    first equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise
+    KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
+    training views, and where what moves is hardly better than in the mean of the training pictures.
     """
     warn(few_views(scene))
     fitted = fit(

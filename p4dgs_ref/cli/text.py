@@ -43,7 +43,7 @@ def against_the_paper(m):
     if not m["beyond_the_paper"]:
         return ""
     return (
-        f"  the paper's design: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
+        f"  {paper['name']}: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
         f"{paper['bytes']:,} bytes\n"
         f"  against it: {m['psnr_db'] - paper['psnr_db']:+.2f} dB, "
         f"{m['bytes'] / paper['bytes']:.3f} of the bytes\n"

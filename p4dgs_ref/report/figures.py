@@ -69,6 +69,11 @@ def error_of(image, truth):
     return error, f"mean {error.mean():.3f}"
 
 
+def literal(text):
+    """The text as matplotlib shows it as it is; between two `$` would be mathematics."""
+    return text.replace("$", r"\$")
+
+
 def draw_pictures(path, title, rows):
     """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
     shape = len(rows), len(rows[0][1])
@@ -83,7 +88,7 @@ def draw_pictures(path, title, rows):
             shown = ax.imshow(picture, cmap="magma", vmin=0, vmax=ERROR_RANGE)
             ax.set(xticks=[], yticks=[], title=above)
             ax.spines[:].set_visible(False)
-        row[0].set_ylabel(label, fontsize=15)
+        row[0].set_ylabel(literal(label), fontsize=15)
     figure.colorbar(
         shown,
         ax=axes,
@@ -94,7 +99,7 @@ def draw_pictures(path, title, rows):
         pad=0.01,
         label="absolute error, mean of R, G, B (of 1)",
     )
-    figure.suptitle(title, fontsize=15)
+    figure.suptitle(literal(title), fontsize=15)
     save_figure(figure, path)
 
 
@@ -142,17 +147,14 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     )
 
 
-def write_size(folder, preset, metrics, paper=None):
-    """size.csv and size.png: bytes by component, from the metrics of one or two designs.
+def write_size(folder, measured):
+    """size.csv and size.png: bytes by component, from {name: metrics} of one or two designs.
 
-    They are those of a preset's file and of the paper's design. Bars are sorted by the last design.
-    The title compares the first one with the same Gaussians as float32.
+    They are those of a preset's file and of the paper's design, which may be None. Bars are sorted
+    by the last design. The title compares the first one with the same Gaussians as float32.
     """
-    designs = {
-        label: of["components"]
-        for label, of in ((preset, metrics), ("the paper's design", paper))
-        if of
-    }
+    designs = {label: of["components"] for label, of in measured.items() if of}
+    (preset, metrics), _ = measured.items()
     columns = dict(zip(("bytes", "paper_design_bytes"), designs.values()))
     write_csv(
         folder / "size.csv",

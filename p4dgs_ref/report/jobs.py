@@ -14,7 +14,17 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..arithmetic import arithmetic, keep_pages
-from ..designs import PRESETS, beyond, choose, decode, encode, fit, paper_preset, what_is_lost
+from ..designs import (
+    PRESETS,
+    beyond,
+    choose,
+    decode,
+    encode,
+    fit,
+    paper_name,
+    paper_preset,
+    what_is_lost,
+)
 from ..output import filled
 from ..scenes.scene import Scene
 from ..signals import deferred
@@ -124,9 +134,9 @@ def main_job(
     A preset that goes beyond the paper is trained as it is and as the paper's design, in two
     processes at once if `jobs` is at least 2; then the times are those of two processes that share
     the machine. Pictures and metrics are those of the preset's own decoded model;
-    `beyond_the_paper` lists what is ours in it, and `paper_design` has bytes, PSNR and SSIM of the
-    other, or of the same model where the preset is the paper's. The folder gets all files at the
-    end, or none. `start` is the `time.perf_counter()` from which the seconds of the whole job
+    `beyond_the_paper` lists what is ours in it, and `paper_design` has name, bytes, PSNR and SSIM
+    of the other, or of the same model where the preset is the paper's. The folder gets all files at
+    the end, or none. `start` is the `time.perf_counter()` from which the seconds of the whole job
     count; the other arguments are those of `train`. Raises the errors of `train` and `evaluate`,
     and OutputError for a folder that cannot be written.
     """
@@ -145,7 +155,10 @@ def main_job(
             "arithmetic": arithmetic(),
             **ours,
             "beyond_the_paper": beyond(preset),
-            "paper_design": {key: (paper or ours)[key] for key in ("bytes", "psnr_db", "ssim")},
+            "paper_design": {
+                "name": paper_name(preset),
+                **{key: (paper or ours)[key] for key in ("bytes", "psnr_db", "ssim")},
+            },
             "trained_at_once": paper is not None and jobs > 1,
             "effects": list(scene.effects),
             "changes": {
@@ -154,10 +167,10 @@ def main_job(
         }
         report.write_comparison(staging, scene, rows, images)
         report.write_motion(staging / "motion.gif", model, scene.test[0].camera)
-        report.write_size(staging, preset.name, ours, paper)
+        report.write_size(staging, {preset.name: ours, paper_name(preset): paper})
         report.write_training(staging, history, preset.stage_ends)
         warn(ours["warning"])
-        warn(paper and paper["warning"] and f"the paper's design: {paper['warning']}")
+        warn(paper and paper["warning"] and f"{paper_name(preset)}: {paper['warning']}")
         metrics["seconds"] = time.perf_counter() - start
         (staging / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
     return metrics

@@ -48,6 +48,11 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
     return values if shape else values.item()
 
 
+def printable(name):
+    """A name of a file or folder whose bytes that are not UTF-8 are shown as escapes."""
+    return str(name).encode(errors="backslashreplace").decode()
+
+
 def typed(value, where, kind):
     """A value of a type of Python."""
     require(isinstance(value, kind), where, f"{shown(value)}; expected a {kind.__name__}")

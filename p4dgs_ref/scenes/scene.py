@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..limits import MAX_COORDINATE, MAX_LENS, MIN_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, choice, fields, list_of, numbers, require
+from .fields import REQUIRED, choice, fields, list_of, numbers, printable, require
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -93,6 +93,7 @@ class Scene:
         where = self.source or self.name
         effects = model_effects(self.effects, f"{where}: effects")
         checked = {
+            "name": printable(self.name),
             "train": tuple(self.train),
             "test": tuple(self.test),
             "val": tuple(self.val),

@@ -19,6 +19,11 @@ def test_a_preset_is_ours_where_something_of_it_is():
     assert type(choose("tiny", {"body": "false"})) is type(choose("tiny_coded", OFF)) is Preset
     assert [what[-4:] for what in beyond(PRESETS["tiny_coded"])] == ["(B1)", "(B2)", "(B3)"]
     assert beyond(TINY) == [] and paper_preset(TINY) is TINY
+    names = [designs.paper_name(preset) for preset in (*PRESETS.values(), choose("tiny", {"k": 1}))]
+    assert dict(zip([*PRESETS, "single"], names)) == {
+        **dict.fromkeys(PRESETS, "the paper's design"),
+        **dict.fromkeys(("small_coded", "single"), "the paper's design with k = 1"),
+    }
 
 
 def test_positions_of_few_bits_need_coded_networks():

@@ -174,6 +174,7 @@ def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path)
     assert [what[-4:] for what in metrics["beyond_the_paper"]] == ["(B1)", "(B3)"]
     folder, paper = done
     own = {key: paper[key] for key in ("bytes", "psnr_db", "ssim")}
+    own["name"] = "the paper's design"
     assert metrics["paper_design"] == own == paper["paper_design"]
     files = {path.name: path.read_bytes() for path in tmp_path.glob("*.p4dgs")}
     assert files.keys() == {"bouncing.p4dgs", "bouncing_paper_design.p4dgs"}
@@ -188,6 +189,8 @@ def test_a_coded_preset_is_compared_with_the_paper_design(scene, done, tmp_path)
     assert f"file {own['bytes']:,} bytes" in said and f"file {metrics['bytes']:,} bytes" in said
     assert f"{metrics['bytes'] / own['bytes']:.3f} of the bytes" in said
     assert "ours: networks that pay for their bits (B1); more weight" in said
+    single = {**metrics, "paper_design": {**own, "name": "the paper's design with k = 1"}}
+    assert "  the paper's design with k = 1: PSNR " in text.metrics(single, folder)
     assert "against it" not in text.metrics(paper, folder) and "B1" not in text.metrics(
         paper, folder
     )
@@ -215,15 +218,15 @@ def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
 
     monkeypatch.setattr(report, broken, fail)
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "metrics.json").write_text("{}")
+    (tmp_path / "old" / "size.csv").write_text("{}")
     for name in ("old", "new/deep"):
         with pytest.raises(RuntimeError, match="no ink"):
             p4.main_job(scene, "smoke", 0, tmp_path / name)
     assert sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")) == [
         "old",
-        "old/metrics.json",
+        "old/size.csv",
     ]
-    assert (tmp_path / "old" / "metrics.json").read_text() == "{}"
+    assert (tmp_path / "old" / "size.csv").read_text() == "{}"
 
 
 def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):

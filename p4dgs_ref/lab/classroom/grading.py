@@ -19,6 +19,7 @@ from ...oracle.ports import PortError
 from ...oracle.report import name_of
 from ...output import filled
 from ...report.figures import write_csv
+from ...scenes.fields import printable
 from ...table import EQUATIONS
 from ..writer import text_table
 from .held_back import cases, is_ordinary
@@ -42,24 +43,25 @@ def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
     keys = keys_of(folders[0] if classroom is None else classroom)
     seed = secrets.randbelow(2**32) if seed is None else seed
     places = [files_of(folder) for folder in folders]
+    names = [printable(folder) for folder in folders]
     students, works = [], []
-    for folder, files in zip(folders, places):
-        progress(f"grading {folder}")
+    for name, files in zip(names, places):
+        progress(f"grading {name}")
         read = {key: source_in(files, key) for key in keys}
         works.append({key: source for key, (source, _) in read.items()})
         whole = same_lines(works[-1], {key: joined(sources_of(key)) for key in keys})
         rows = [row_of(key, files, *read[key], key in whole, seed) for key in keys]
         students.append(
             {
-                "student": str(folder),
+                "student": name,
                 "points": round(sum(row["points"] for row in rows), 4),
                 "of": sum(row["of"] for row in rows),
                 "equations": rows,
             }
         )
     pairs = [
-        {"students": [str(one), str(other)], "equations": sorted(alike(a, b) | alike(b, a))}
-        for (one, a), (other, b) in combinations(zip(folders, works), 2)
+        {"students": [one, other], "equations": sorted(alike(a, b) | alike(b, a))}
+        for (one, a), (other, b) in combinations(zip(names, works), 2)
     ]
     return {"seed": seed, "students": students, "alike": [p for p in pairs if p["equations"]]}
 

@@ -5,7 +5,16 @@ envelope of the explicit methods, that is, of all baselines, is what the best of
 quality.
 """
 
-from ...report.figures import BLUE, LIGHT_BLUE, RED, STACK, pyplot, save_figure, write_csv
+from ...report.figures import (
+    BLUE,
+    LIGHT_BLUE,
+    RED,
+    STACK,
+    literal,
+    pyplot,
+    save_figure,
+    write_csv,
+)
 from ...report.inspect import components
 from .. import baselines
 from ..writer import bd_rate, envelope, factors, front, means, seeds_of, text_table
@@ -106,7 +115,7 @@ def collect(tasks, folder):
     write_csv(folder / "curve.csv", rows)
     points, curves, title = read(rows)
     edge = curves[EDGE]
-    draw_curves(folder / "curve.png", points, edge, title)
+    draw_curves(folder / "curve.png", points, edge, literal(title))
     parts = composition([task.path for task in tasks[:2]])
     write_csv(folder / "composition.csv", parts)
     return {
