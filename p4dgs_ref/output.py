@@ -3,6 +3,11 @@
 Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
 rename replaces a file in one step, so a reader sees the old file or the whole new one. The hidden
 folder of a process that was killed stays until something else is written beside it.
+
+What a command may replace: a regular file that it does not read. Where the user names the file, it
+is empty or of the kind that is written, which its first bytes tell; in a folder that the user
+names, it bears the name of one of the command's own files. What a training has made, a checkpoint
+or a report of `demo`, is never replaced by another training.
 """
 
 import errno
@@ -163,12 +168,24 @@ def filled(path, reads=None):
 
 
 @contextmanager
-def new_file(path, *reads):
+def new_file(path, *reads, start=b""):
     """Prove that the file `path` can be written; its folder is made as in `made`.
 
-    It must be none of the files `reads`, from which it is made; None stands for no file.
+    It must be none of the files `reads`, from which it is made; None stands for no file. An old
+    file must be empty or begin with `start`, as the new one does.
     """
-    if destination(path) in [Path(os.path.realpath(file)) for file in reads if file is not None]:
+    target = destination(path)
+    if target in [Path(os.path.realpath(file)) for file in reads if file is not None]:
         raise OutputError(f"{path}: this is the input; expected another place to write to")
-    with made(destination(path).parent):
+    if target.exists():
+        with open(target, "rb") as old:
+            if old.read(len(start)) not in (b"", start):
+                raise OutputError(f"{path}: a file of another kind; expected a new name")
+    with made(target.parent):
         yield Path(path)
+
+
+def absent(path, remedy="delete it, or name another folder"):
+    """Refuse to train where another training has left the file `path`."""
+    if os.path.lexists(path):
+        raise OutputError(f"{path}: exists; {remedy}")

@@ -12,13 +12,13 @@ import p4dgs_ref as p4
 
 from .. import designs
 from ..codec import container, splats
-from ..output import filled, made, new_file, write_atomically
+from ..output import absent, filled, made, new_file, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_points_for, read_scene_json
-from ..training.fit import CHECKPOINT, few_views
+from ..training.fit import CHECKPOINT, GO_ON, few_views
 from ..training.presets import differences, rows_of
 from . import UsageError, caution, progress, require, say, show, tell, text
 
@@ -108,12 +108,8 @@ def train(arguments):
     """Fit a scene into a run folder."""
     preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
     scene = p4.load_scene(arguments.scene, downscale=arguments.downscale)
-    checkpoint = Path(arguments.output) / CHECKPOINT
-    require(
-        resume or not checkpoint.exists(),
-        checkpoint,
-        "exists; --resume goes on from it, another -o starts anew",
-    )
+    if not resume:
+        absent(Path(arguments.output) / CHECKPOINT, GO_ON)
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
@@ -146,7 +142,8 @@ def train(arguments):
 
 def encode(arguments):
     """Compress a run to a file."""
-    with new_file(arguments.output, Path(arguments.run) / CHECKPOINT) as output:
+    checkpoint = Path(arguments.run) / CHECKPOINT
+    with new_file(arguments.output, checkpoint, start=container.MAGIC) as output:
         model, values = designs.load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
@@ -237,7 +234,7 @@ def export_ply(arguments):
     file, (_, model, _) = Path(arguments.file), read_file(arguments.file)
     camera, name = frozen_camera(arguments, model)
     gaussians = model.gaussians(arguments.time, camera)
-    with new_file(arguments.output or file.with_suffix(".ply"), file) as output:
+    with new_file(arguments.output or file.with_suffix(".ply"), file, start=b"ply\n") as output:
         splats.write_gaussians(
             output,
             gaussians,
@@ -287,8 +284,8 @@ def inspect(arguments):
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
         with filled(arguments.output, arguments.file) as staging:
-            figures.write_csv(staging / "size.csv", rows)
-            figures.draw_ledger(staging / "size.png", rows)
+            figures.write_csv(staging / "sections.csv", rows)
+            figures.draw_ledger(staging / "sections.png", rows)
             if arguments.heat:
                 model, bits = sizes.anchor_bits(data)
                 figures.write_heat(staging, model, bits, held_camera(model))

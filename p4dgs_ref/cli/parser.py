@@ -46,15 +46,22 @@ def bounded(kind, low, high=1e18):
     return read
 
 
+def given(text):
+    """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("expected a name, got ''")
+    return text
+
+
 # --- parts of the table ---
-def option(*names, **settings):
-    """An argument of a command, in the words of argparse's `add_argument`."""
-    return names, settings
+def option(*names, type=given, **settings):
+    """An argument of a command with a value, in the words of argparse's `add_argument`."""
+    return names, {"type": type, **settings}
 
 
 def switch(name, help):
     """An option without a value."""
-    return option(name, action="store_true", help=help)
+    return (name,), {"action": "store_true", "help": help}
 
 
 def several(name, metavar, help, **settings):
@@ -151,7 +158,7 @@ GROUPS = {
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 JSON,
                 preset(
-                    "tiny_coded", "of the training (tiny_coded); the paper's design is also trained"
+                    "tiny_coded", "of the training (tiny_coded); also trained without what is ours"
                 ),
                 *SETTINGS,
                 JOBS,

@@ -25,7 +25,7 @@ from ..designs import (
     paper_preset,
     what_is_lost,
 )
-from ..output import filled
+from ..output import absent, filled
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..training.fit import few_views, warn
@@ -138,10 +138,12 @@ def main_job(
     of the other, or of the same model where the preset is the paper's. The folder gets all files at
     the end, or none. `start` is the `time.perf_counter()` from which the seconds of the whole job
     count; the other arguments are those of `train`. Raises the errors of `train` and `evaluate`,
-    and OutputError for a folder that cannot be written.
+    and OutputError for a folder that cannot be written or holds an earlier report.
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
+    for file in (f"{name}.p4dgs", "metrics.json"):
+        absent(Path(folder) / file)
     warn(few_views(scene))
     # The report looks the same whatever style a program or a user's settings have chosen.
     with filled(folder) as staging, report.pyplot().style.context("default"):

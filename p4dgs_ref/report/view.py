@@ -31,6 +31,6 @@ def view(files, path):
     Raises OutputError where `path` cannot be written or is one of the files.
     """
     data = page(files)
-    with new_file(path, *files):
+    with new_file(path, *files, start=data[:9]):  # <!doctype
         write_atomically(path, lambda file: file.write(data))
     return len(data)

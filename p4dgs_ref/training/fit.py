@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import effects as fx
-from ..output import destination, locked, write_atomically
+from ..output import absent, destination, locked, write_atomically
 from ..signals import deferred
 from .loop import Progress, psnr
 from .presets import Preset, rows_of
@@ -28,6 +28,7 @@ TIMES = 9  # the model is drawn at so many; the median of these pictures shows i
 MAX_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
 MIN_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
+GO_ON = "--resume (resume=True) goes on from it, another folder starts anew"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 4, fields {[row.name for row in fields(Preset)]}".encode()
 CHECKSUM_BYTES = 32
@@ -41,8 +42,8 @@ def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
     """Train to the end. In `folder` a checkpoint is kept; with `resume` training goes on from it.
 
     Raises RunError for a checkpoint that does not fit, OutputError for a folder in which another
-    training runs, and NotFinite. Ctrl-C or SIGTERM raise KeyboardInterrupt after the current
-    iteration, a second one at once.
+    training runs or has run, and NotFinite. Ctrl-C or SIGTERM raise KeyboardInterrupt after the
+    current iteration, a second one at once.
     """
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
@@ -50,6 +51,8 @@ def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
             progress, common = Progress(stream), identity(trainer)
             if resume and folder is not None:
                 go_on(trainer, folder, common)
+            elif folder is not None:
+                absent(Path(folder) / CHECKPOINT, GO_ON)
 
             def keep():
                 if folder is not None:

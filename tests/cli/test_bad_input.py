@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import resource
 import shutil
 from functools import partial
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
 from p4dgs_ref.training.fit import load_checkpoint
 from tests import ROOT
+from tests.budget import subcommands
 from tests.sampling import few
 
 from .conftest import command, tree
@@ -33,6 +36,9 @@ def original(scene, tmp_path_factory):
     (place / "good.p4dgs").write_bytes(data)
     (place / "cut.p4dgs").write_bytes(data[:-5])
     (place / "text").write_text("not what you think\n")
+    (place / "report").mkdir()
+    (place / "report" / "scene.p4dgs").write_bytes(data)
+    (place / "report" / "metrics.json").write_text("{}")
     (place / "run_cut").mkdir()
     saved = (place / "run" / "checkpoint.npz").read_bytes()
     (place / "run_cut" / "checkpoint.npz").write_bytes(saved[:-50])
@@ -320,6 +326,14 @@ LINES = [
     ("effects scene --apply", ("--apply", "--suggest")),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
     ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
+    ("encode run -o text", ("text: ", "another kind")),
+    ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
+    ("encode run_cut -o run/checkpoint.npz", ("run/checkpoint.npz: ", "another kind")),
+    ("export-ply good.p4dgs -o text", ("text: ", "another kind")),
+    ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
+    ("train scene -o run --preset smoke", ("run/checkpoint.npz: exists", "--resume")),
+    ("demo scene -o report --preset smoke", ("report/scene.p4dgs: exists", "another")),
+    ("demo bouncing -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --only speed", ("--only speed", "renderer")),
@@ -342,6 +356,17 @@ LINES = [
 def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
     monkeypatch.chdir(original)  # not a copy: nothing is written
     refused(line, words)
+
+
+def test_no_argument_may_be_empty(capsys):
+    every = subcommands(parser())
+    for one in [*every.values(), *subcommands(every["oracle"]).values()]:
+        for argument in one._actions:
+            if argument.nargs != 0:
+                with pytest.raises(SystemExit, match="2"):
+                    one.parse_args([*argument.option_strings[-1:], ""])
+                said = capsys.readouterr().err
+                assert re.search(r"(expected|invalid choice).*''", said), said
 
 
 def test_no_test_views():
@@ -413,7 +438,7 @@ ODD = {
 WRITING = {
     "encode run -o {}/x.p4dgs": "x.p4dgs",
     "render good.p4dgs -o {} --frames 2 --size 4": "motion.gif",
-    "inspect good.p4dgs -o {}": "size.csv",
+    "inspect good.p4dgs -o {}": "sections.csv",
     "evaluate good.p4dgs scene -o {}": "comparison.png",
     "decode good.p4dgs -o {}": "model.json",
     "train scene -o {} --preset smoke --resume --quiet": "training.csv",
@@ -448,7 +473,7 @@ FULL = {
     "render good.p4dgs -o out --frames 1 --size 200": "out/t_000.png",
     "evaluate good.p4dgs scene -o out": "out/comparison.png",
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
-    "inspect good.p4dgs -o out": "out/size.png",
+    "inspect good.p4dgs -o out": "out/sections.png",
     "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
     "view good.p4dgs -o out/x.html": "out/x.html",
     "compare scene --quick --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
@@ -471,11 +496,14 @@ def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
 
 
 def test_names_reach_the_terminal_without_their_control_characters(place, run):
-    (place / "scene").rename(place / "s\x1b[2J")
+    """Nor does a name of a scene mean mathematics in a figure's title, or end a long command."""
+    odd = "s$$\x1b[2J\udcff"  # bytes that are no UTF-8 come as such characters
+    (place / "scene").rename(place / odd)
     (place / "good.p4dgs").rename(place / "g\x1b[2J")
     for line in (
-        "train 's\x1b[2J' -o 'r\x1b[2J' --preset smoke",
-        "evaluate 'g\x1b[2J' 's\x1b[2J' -o 'r\x1b[2J'",
+        f"train '{odd}' -o 'r\x1b[2J' --preset smoke",
+        f"evaluate 'g\x1b[2J' '{odd}' -o 'r\x1b[2J'",
+        f"demo '{odd}' -o 'r\x1b[2J' --preset smoke --quiet",
         "encode run -o 'r\x1b[2J/x\x1b[2J'",
         "render 'g\x1b[2J' -o 'r\x1b[2J' --frames 1 --size 4",
     ):

@@ -109,7 +109,10 @@ WRITTEN = {
         "comparison.csv comparison.png",
     ),
     "view out/x.p4dgs -o pages/x.html": ("pages/x.html: ", "x.html"),
-    "inspect out/x.p4dgs -o sizes --heat": ("section ", "heat.csv heat.png size.csv size.png"),
+    "inspect out/x.p4dgs -o sizes --heat": (
+        "section ",
+        "heat.csv heat.png sections.csv sections.png",
+    ),
 }
 
 
