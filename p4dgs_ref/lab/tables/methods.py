@@ -5,7 +5,7 @@ scene, seed, psnr_db and bytes; it has the first digits of its file's sha256 and
 makes this file. It lies as JSON beside the file, in a folder that is named after a checksum of the
 scene's views, effects and background, and the length of the trainings. A row that is there is not
 made again, so a killed study goes on, takes what another one has made, and can grow by scenes,
-seeds and methods.
+seeds and methods. Such a row is checked before it is used, also against its file.
 """
 
 import hashlib
@@ -13,27 +13,29 @@ import json
 from ast import literal_eval
 from dataclasses import replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ... import designs, output
+from ... import __version__, designs, output
 from ... import model as paper
 from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS
 from ...designs import PRESETS, choose, decode, encode
+from ...limits import MAX_FILE_BYTES, MAX_NUMBERS
 from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
-from ...scenes import Scene
+from ...scenes import Scene, SceneError
+from ...scenes.fields import REQUIRED, fields, numbers, require, typed
 from ...scenes.files import read_json
-from ...scenes.scene import require
 from ...training.fit import fingerprint
 from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, differences
-from .. import baselines, entry
+from .. import StudyError, baselines, entry
 from ..accuracy.harness import shortened
 from ..baselines import d3dgs_network
 from ..clock import clocked
@@ -54,6 +56,40 @@ DATES = (
     "grow_until",
     "reset_every",
 )
+KINDS = ("gaussians_bytes", "network_bytes", "other_bytes")  # of bytes of a file
+TEXT = partial(typed, kind=str)
+COUNT = partial(numbers, low=0, high=MAX_NUMBERS, kind=int)
+SIZE = partial(numbers, low=0, high=MAX_FILE_BYTES, kind=int)
+DECIBELS = partial(numbers, low=-1e3, high=1e3)
+# The fields of a row, {name: check}.
+ROW = {
+    "method": TEXT,
+    "scene": TEXT,
+    "seed": COUNT,
+    "psnr_db": DECIBELS,
+    "bytes": SIZE,
+    "label": TEXT,
+    "lambda_rate": partial(numbers, low=0, high=1e18),
+    "sh_degree": COUNT,
+    "ssim": partial(numbers, low=-1, high=1),
+    "psnr_fg_db": lambda value, where: value if value is None else DECIBELS(value, where),
+    "anchors": COUNT,
+    "gaussians": COUNT,
+    **dict.fromkeys(KINDS, SIZE),
+    "file": TEXT,
+    "iterations": COUNT,
+    "train_seconds": partial(numbers, low=0, high=1e9),
+    "made": TEXT,
+    "arithmetic": TEXT,
+    "release": TEXT,
+    "sha256": TEXT,
+    "command": TEXT,
+    "estimated_bytes": SIZE,
+    "anchor_bytes": SIZE,
+    "positions_bytes": SIZE,
+    "deformation_bytes": SIZE,
+}
+OF_OUR_FILES = ("estimated_bytes", "anchor_bytes", "positions_bytes", "deformation_bytes")
 
 
 class Task(NamedTuple):
@@ -240,45 +276,38 @@ def make(task):
     with output.made(task.folder):
         sizes = write(task, model)
     metrics, _, _ = evaluate(load(task.path), task.scene)
-    preset = preset_of(task)
-    row = {
-        "method": task.method,
-        "scene": task.scene.name,
-        "seed": task.seed,
-        "psnr_db": metrics["psnr_db"],
+    found = {
+        **known_of(task),
+        **metrics,
         "bytes": sum(sizes.values()),
-        "label": task.label,
-        **{name: getattr(preset, name) for name in KNOBS if hasattr(preset, name)},
-        **{name: metrics[name] for name in ("ssim", "psnr_fg_db", "anchors", "gaussians")},
         **{f"{kind}_bytes": size for kind, size in sizes.items()},
-        "file": task.path.name,
-        "iterations": preset.iterations,
         "train_seconds": float(seconds),
         "made": f"{date.today()}",
         "arithmetic": arithmetic(),
-        "sha256": hashlib.sha256(task.path.read_bytes()).hexdigest()[:16],
         "command": task.command,
     }
     if task.path.suffix == ".p4dgs":
         sections = {part["name"]: part for part in ledger(task.path.read_bytes())}
-        row["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
-        row["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
-        row["positions_bytes"] = sections["positions"]["bytes"]
-        row["deformation_bytes"] = sections.get("deformation_mlp", {}).get("bytes", 0)
+        found["estimated_bytes"] = round(sum(part["estimate_bytes"] for part in sections.values()))
+        found["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
+        found["positions_bytes"] = sections["positions"]["bytes"]
+        found["deformation_bytes"] = sections.get("deformation_mlp", {}).get("bytes", 0)
+    row = {name: found[name] for name in ROW if name in found}
     text = json.dumps(json_safe(row), indent=1) + "\n"
     output.write_atomically(task.record, lambda file: file.write(text.encode()))
     return row
 
 
 def make_missing(tasks, progress=lambda line: None, jobs=1, agree=lambda trainers, jobs: None):
-    """Make the rows that are not there. Raises SceneError where a scene has no test views.
+    """Make the rows that are not there.
 
-    Before that, `agree` gets the `trainers` of these tasks and how many of them run at once; it
-    raises an error to stop.
+    Before the first training, `agree` gets the `trainers` of these tasks and how many of them run
+    at once; it raises an error to stop. Raises SceneError where a scene has no test views, and
+    StudyError for a row that is not as `make` has written it.
     """
     for task in tasks:
         require(task.scene.test, f"scene {task.scene.name}", "split 'test': no views to measure on")
-    missing = [task for task in tasks if not task.record.exists()]
+    missing = [task for task in tasks if row_of(task) is None]
     agree(trainers(missing), min(jobs, len(missing)))
     for done, _ in enumerate(in_processes(make, missing, jobs), 1):
         progress(f"{done} of {len(missing)} trainings")
@@ -286,7 +315,53 @@ def make_missing(tasks, progress=lambda line: None, jobs=1, agree=lambda trainer
 
 def made(tasks):
     """The rows that are there."""
-    return [read_json(task.record) for task in tasks if task.record.exists()]
+    return [row for row in map(row_of, tasks) if row is not None]
+
+
+def row_of(task):
+    """The row that is there, or None. Raises StudyError unless it is as `make` has written it."""
+    try:
+        for path in (task.path, task.record):
+            output.destination(path)  # a pipe would be read without end
+        return checked_row(task) if task.record.exists() else None
+    except (OSError, output.OutputError, SceneError) as error:
+        raise StudyError(f"{error}; delete it, or name another folder") from None
+
+
+def checked_row(task):
+    """The row that is there, after its fields were compared with the task and its file."""
+    row = read_json(task.record, "the row of a training")
+    others = [name for name in KNOBS if not hasattr(preset_of(task), name)]
+    others += OF_OUR_FILES * (task.path.suffix != ".p4dgs")
+    table = {name: (check, REQUIRED) for name, check in ROW.items() if name not in others}
+    for name in table:
+        require(name in row, f"{task.record}: {name}", "missing; expected it in every row")
+    fields(row, task.record, {**table, "exact": (partial(typed, kind=bool), None)})
+    whole, is_there = sum(row[name] for name in KINDS), task.path.exists()
+    require(
+        is_there and row["bytes"] == whole == task.path.stat().st_size,
+        f"{task.record}: bytes",
+        f"{row['bytes']}; expected {whole}, its parts, and a file {task.path.name} of this size",
+    )
+    for name, value in known_of(task).items():
+        require(row[name] == value, f"{task.record}: {name}", f"{row[name]!r}; expected {value!r}")
+    return row
+
+
+def known_of(task):
+    """The fields of a row that follow from its task and its file."""
+    preset = preset_of(task)
+    return {
+        "method": task.method,
+        "scene": task.scene.name,
+        "seed": task.seed,
+        "label": task.label,
+        **{name: getattr(preset, name) for name in KNOBS if hasattr(preset, name)},
+        "file": task.path.name,
+        "iterations": preset.iterations,
+        "release": __version__,
+        "sha256": hashlib.sha256(task.path.read_bytes()).hexdigest()[:16],
+    }
 
 
 # --- plain files ----------------------------------------------------------------------------------

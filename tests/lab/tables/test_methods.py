@@ -2,19 +2,24 @@
 
 import dataclasses
 import hashlib
+import json
+import math
+import os
 import pickle
 import shlex
+import shutil
 
 import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.lab import baselines, writer
+from p4dgs_ref.lab import StudyError, baselines, writer
 from p4dgs_ref.lab.tables import ablate, compare, curve, methods
 from p4dgs_ref.lab.tables.methods import OURS, Task
 from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes import SceneError
+from p4dgs_ref.scenes.files import read_json
 
 from .shared import FIRST
 
@@ -100,6 +105,81 @@ def test_a_task_travels_to_other_processes_and_names_its_file(scene, tmp_path):
     assert baselines.load(task.path).primitives <= 20 and methods.made([task]) == [row]
     step = task._replace(method=OURS, step="+ a / b", plain=())
     assert step.path == tmp_path / "bouncing_a___b_seed0.npy"
+
+
+@pytest.fixture(scope="module")
+def kept(scene, tmp_path_factory):
+    """Tasks of both kinds of method whose rows are kept."""
+    folder = tmp_path_factory.mktemp("kept")
+    tasks = [
+        Task(scene, name, 0, folder, 4, {"lambda_rate": 0.01} if name == OURS else {})
+        for name in (OURS, "d3dgs_small")
+    ]
+    methods.make_missing(tasks)
+    return tasks
+
+
+def edited(**fields):
+    """A change of fields of a row; one that becomes ... is left out."""
+
+    def damage(task):
+        row = {**read_json(task.record), **fields}
+        task.record.write_text(json.dumps({name: a for name, a in row.items() if a is not ...}))
+
+    return damage
+
+
+def in_place_of(which, make):
+    def damage(task):
+        getattr(task, which).unlink()
+        make(getattr(task, which))
+
+    return damage
+
+
+ODD = {"pipe": os.mkfifo, "folder": os.mkdir, "link": lambda path: path.symlink_to(path.name)}
+DAMAGES = {
+    "{}": lambda task: task.record.write_text("{}"),
+    "a list": lambda task: task.record.write_text("[]"),
+    "cut": lambda task: task.record.write_text(task.record.read_text()[:-5]),
+    "bytes 0": edited(bytes=0),
+    "other parts": edited(network_bytes=1),
+    "another release": edited(release="0.0.1"),
+    "another seed": edited(seed=1),
+    "another length": edited(iterations=5),
+    "another rate": edited(lambda_rate=0.5),
+    "unknown field": edited(speed=1),
+    "another file": lambda task: task.path.write_bytes(task.path.read_bytes()[::-1]),
+    "empty file": lambda task: task.path.write_bytes(b""),
+    "no file": lambda task: task.path.unlink(),
+    **{
+        f"{which} is a {kind}": in_place_of(which, make)
+        for which in ("record", "path")
+        for kind, make in ODD.items()
+    },
+}
+
+
+def test_damaged_rows_are_refused_in_one_line_before_any_training(kept, tmp_path, monkeypatch):
+    monkeypatch.setattr(methods, "make", lambda task: pytest.fail("trained"))
+    for task in kept:
+        row = read_json(task.record)
+        fields = {
+            f"{name} {value}": edited(**{name: value})
+            for name in row
+            for value in (..., math.nan, [1])
+        }
+        assert methods.made([task]) == [row] and len({**DAMAGES, **fields}) >= 84
+        for name, damage in {**DAMAGES, **fields}.items():
+            folder = tmp_path / f"{task.method} {name}"
+            shutil.copytree(task.folder, folder)
+            copied = task._replace(folder=folder)
+            damage(copied)
+            with pytest.raises(StudyError, match="; delete it, or name another folder$") as said:
+                methods.make_missing([copied])
+            assert f"{folder}/{task.path.stem}." in str(said.value)
+            assert "\n" not in str(said.value)
+            assert name not in fields or f".json: {name.split()[0]}: " in str(said.value)
 
 
 @pytest.mark.filterwarnings("always:scene")  # of a command: a line
