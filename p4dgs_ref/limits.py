@@ -1,5 +1,7 @@
 """How much a scene, a model and a file may hold, so that a damaged one costs no time and no memory.
 
+A message holds at most MAX_MESSAGE characters, whatever it quotes.
+
 The codec's format page states the limits of a file; a port has to keep to them.
 """
 
@@ -7,6 +9,7 @@ The codec's format page states the limits of a file; a port has to keep to them.
 MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
 MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
 MAX_JSON_BYTES = 2**27  # a view takes about 500
+MAX_PICTURE = 2**27  # pixels times channels of a picture
 
 # Models and their files.
 MAX_ANCHORS = 2**22
@@ -17,4 +20,16 @@ MAX_OF = {"d": 4096, "k": 256, "L_x": 64, "L_t": 64, "F": 64}  # fields of a Des
 MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
 MAX_SYMBOL = 2**31  # magnitude of a coded number
 MAX_STEPS = 2**15 - 1  # magnitude of a weight that is coded in steps
-MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14
+MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14  # also of a .ply; of other files with points
+MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
+
+# Answers of a port.
+MAX_ANSWER_BYTES, MAX_ANSWER_HEADER_BYTES = 2**28, 2**20
+
+MAX_MESSAGE = 1000
+
+
+def cut(text):
+    """The text without its middle where it is longer than a message may be."""
+    half = MAX_MESSAGE // 2
+    return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"

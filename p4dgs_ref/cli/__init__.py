@@ -9,6 +9,8 @@ import os
 import shutil
 import sys
 
+from ..limits import cut
+
 
 class UsageError(ValueError):
     """A mistake on the command line: one line naming the option or file and what was expected."""
@@ -37,9 +39,9 @@ def progress(text=""):
 
 
 def say(message):
-    """Print a message on stderr as one line."""
+    """Print a message on stderr as one line, whatever it quotes."""
     progress()
-    print(f"p4dgs-ref: {visible(message)}", file=sys.stderr)
+    print(f"p4dgs-ref: {visible(cut(str(message)))}", file=sys.stderr)
 
 
 def caution(warning):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..limits import MAX_ANSWER_BYTES, cut
 from . import safetensors
 from .compare import expected, precision
 from .published import FOLDER, flatten, meant, read_manifest, subjects
@@ -23,8 +24,15 @@ class PortError(Exception):
     """
 
     def __init__(self, kind, message):
-        super().__init__(" ".join(message.split()))
+        super().__init__(" ".join(cut(message).split()))
         self.kind = kind
+
+
+def bounded(size):
+    """Refuse an answer that is too large to be read."""
+    require(
+        size <= MAX_ANSWER_BYTES, "size", f"expected at most {MAX_ANSWER_BYTES} bytes, got {size}"
+    )
 
 
 class FolderPort:
@@ -84,7 +92,9 @@ class FolderPort:
         try:
             if file.suffix == ".npz":
                 with np.load(file, allow_pickle=False) as arrays:
+                    bounded(sum(entry.file_size for entry in arrays.zip.infolist()))
                     return dict(arrays), file
+            bounded(file.stat().st_size)
             return safetensors.load(file.read_bytes()), file
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
             raise PortError("damaged", f"{file}: {error}") from None
@@ -95,7 +105,10 @@ class FolderPort:
         Raises PortError.
         """
         file = self.folder / "codec" / "refusals.json"
-        reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
+        reasons = {}
+        if file.is_file():
+            bounded(file.stat().st_size)
+            reasons = safetensors.json_object(file.read_bytes())
         if reasons is None or not isinstance(reasons.get(name), str | None):
             raise PortError(
                 "damaged",

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ..limits import MAX_ANSWER_HEADER_BYTES, cut
+
 DTYPES = {
     "F64": "<f8",
     "F32": "<f4",
@@ -62,6 +64,11 @@ def record_of(array):
 def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
     length = int.from_bytes(data[:8], "little")
+    require(
+        length <= MAX_ANSWER_HEADER_BYTES,
+        "header",
+        f"expected a length of at most {MAX_ANSWER_HEADER_BYTES} bytes, got {length}",
+    )
     header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
     require(header is not None, "header", "expected its length in 8 bytes and a JSON object")
     header.pop("__metadata__", None)
@@ -104,7 +111,7 @@ def array_of(name, record, data):
 def require(condition, where, expected):
     """Raise a TensorError unless the condition holds."""
     if not condition:
-        raise TensorError(f"{where}: {expected}")
+        raise TensorError(cut(f"{where}: {expected}"))
 
 
 def json_object(text) -> Any:

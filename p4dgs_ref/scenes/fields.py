@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from ..limits import cut
+
 REQUIRED = object()  # the default of a field that must be there
 KINDS = {int: (int, np.integer), float: (int, np.integer, float, np.floating)}
 
@@ -21,7 +23,7 @@ class SceneError(ValueError):
     """A mistake in a scene: one line that names the file, the field and what was expected."""
 
     def __init__(self, where: object, expected: str):
-        super().__init__(" ".join(f"{where}: {expected}".split()))
+        super().__init__(" ".join(cut(f"{where}: {expected}").split()))
 
 
 def require(condition, where, expected):

@@ -11,6 +11,7 @@ The first anchors of a real scene stand at the points of
 """
 
 import json
+import math
 import os
 import struct
 import warnings
@@ -21,7 +22,14 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from ..limits import MAX_ANCHORS, MAX_COORDINATE, MAX_JSON_BYTES
+from ..limits import (
+    MAX_ANCHORS,
+    MAX_COORDINATE,
+    MAX_FILE_BYTES,
+    MAX_HEADER_BYTES,
+    MAX_JSON_BYTES,
+    MAX_PICTURE,
+)
 from ..output import write_atomically
 from .fields import SceneError, require
 from .scene import as_float, over_background, size_of
@@ -41,12 +49,7 @@ BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 def read_json(file, expected=FOLDERS):
     """The JSON object in a file; `expected` says what it should be."""
-    with reading(file, f"JSON in UTF-8, {expected}"):
-        require(
-            file.stat().st_size <= MAX_JSON_BYTES,
-            file,
-            f"larger than {MAX_JSON_BYTES} bytes; expected JSON",
-        )
+    with reading(file, f"JSON in UTF-8, {expected}", most=MAX_JSON_BYTES):
         data = json.loads(file.read_text(encoding="utf-8"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
     return data
@@ -66,6 +69,12 @@ def read_image(folder, name, where):
     with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
         with iio.imopen(file, "r", plugin="pillow") as opened:
+            shape = opened.properties().shape
+            require(
+                math.prod(shape) <= MAX_PICTURE,
+                f"{where}: {file}",
+                f"{shape} numbers; expected a PNG of at most {MAX_PICTURE}",
+            )
             clear = "transparency" in opened.metadata()  # alpha of a palette's colours
             return as_float(opened.read(mode="RGBA" if clear else None), f"{where}: {file}")
 
@@ -89,14 +98,16 @@ def box_filter(image, s):
 
 
 @contextmanager
-def reading(file, expected, where=None):
+def reading(file, expected, where=None, most=MAX_FILE_BYTES):
     """Any error while a file is read becomes one line that says what was expected.
 
-    `where` names the place that the file was found through.
+    `where` names the place that the file was found through. The file has at most `most` bytes.
     """
     place = f"{where}: {file}" if where else file
     kind = "a directory, a device or a broken link" if os.path.lexists(file) else "missing"
     require(os.path.isfile(file), place, f"{kind}; expected {expected}")
+    size = os.path.getsize(file)
+    require(size <= most, place, f"larger than {most} bytes; expected {expected}")
     try:
         yield
     except SceneError:
@@ -150,8 +161,14 @@ def read_ply(path):
     Vertices are the first element, as COLMAP and 3DGS write them. They are a structured array [N],
     whose fields are their properties.
     """
-    head, end, body = Path(path).read_bytes().partition(b"\nend_header\n")
-    require(head[:3] == b"ply" and end, path, "expected a header from 'ply' to 'end_header'")
+    data = Path(path).read_bytes()
+    head, end, _ = data[:MAX_HEADER_BYTES].partition(b"\nend_header\n")
+    require(
+        head[:3] == b"ply" and end,
+        path,
+        f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
+    )
+    body = data[len(head) + len(end) :]
     start, *elements = head.decode("ascii").split("\nelement ")
     require(
         elements and elements[0].startswith("vertex "),
@@ -175,7 +192,9 @@ def read_vertices(path):
 def read_points3d(path):
     """The coordinates [A, 3] in COLMAP's points3D.bin."""
     data, at, points = path.read_bytes(), 8, []
-    for _ in range(int.from_bytes(data[:8], "little")):
+    count = int.from_bytes(data[:8], "little")
+    require(count <= MAX_ANCHORS, path, f"{count} points; expected 1 to {MAX_ANCHORS} points")
+    for _ in range(count):
         _, *point, _, _, _, _, entries = COLMAP_POINT.unpack_from(data, at)
         points.append(point)
         at += COLMAP_POINT.size + 8 * entries

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import effects as fx
+from ..limits import MAX_CHECKPOINT_BYTES
 from ..output import absent, destination, locked, write_atomically
 from ..signals import deferred
 from .loop import Progress, psnr
@@ -166,13 +167,13 @@ def load_checkpoint(folder):
     """The arrays and the JSON values of a checkpoint; raises RunError where it cannot be used."""
     path = Path(folder) / CHECKPOINT
     destination(path)  # a pipe or a device would be read without end
+    expected = f"expected a checkpoint, which `p4dgs-ref train SCENE -o {folder}` makes"
     try:
+        if path.stat().st_size > MAX_CHECKPOINT_BYTES:
+            raise RunError(f"{path}: larger than {MAX_CHECKPOINT_BYTES} bytes; {expected}")
         whole = path.read_bytes()
     except OSError as error:
-        raise RunError(
-            f"{path}: {error.strerror}; expected a checkpoint, "
-            f"which `p4dgs-ref train SCENE -o {folder}` makes"
-        ) from None
+        raise RunError(f"{path}: {error.strerror}; {expected}") from None
     data, end = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
     if end != checksum(data):
         raise RunError(

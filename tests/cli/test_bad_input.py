@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
@@ -157,6 +158,11 @@ SCENES = [
         "an integer of 5,000 digits",
         rewrite("transforms_train.json", lambda text: text.replace("0.7", "9" * 5000)),
         ("transforms_train.json",),
+    ),
+    (
+        "a name of 20 MB",
+        edit_frame("train", file_path="a" * 20_000_000),
+        ("transforms_train.json: frames[1].file_path: no picture", "aaa.png"),
     ),
     (
         "a name of two lines in red",
@@ -356,6 +362,28 @@ LINES = [
 def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
     monkeypatch.chdir(original)  # not a copy: nothing is written
     refused(line, words)
+
+
+# A file that is too large, by one byte, and a command that would read it.
+LARGE = {
+    "train bouncing -o new --preset smoke --points x.ply": ("x.ply", limits.MAX_FILE_BYTES),
+    "train bouncing -o new --preset smoke --points x.npy": ("x.npy", limits.MAX_FILE_BYTES),
+    "render x.ply -o new": ("x.ply", limits.MAX_FILE_BYTES),
+    "encode . -o new": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
+    "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
+    "demo . -o new": ("transforms_train.json", limits.MAX_JSON_BYTES),
+}
+
+
+@pytest.mark.parametrize("line", LARGE)
+def test_files_beyond_their_limits_are_not_read(tmp_path, run, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    name, most = LARGE[line]
+    with open(name, "wb") as file:
+        file.truncate(most + 1)  # without blocks on the disk
+    code, out, err = run(line)
+    assert (code, out) == (2, "") and f"{name}: larger than {most} bytes; expected" in err
+    assert err.count("\n") == 1 and os.listdir() == [name]
 
 
 def test_no_argument_may_be_empty(capsys):

@@ -117,6 +117,16 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
         assert all(r.wrong and r.verdict == verdict for r in results)
 
 
+def test_answers_that_are_too_large_are_not_read(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "offsets.npz", a=np.zeros(1000))
+    (tmp_path / "view.safetensors").write_bytes(bytes(1001))
+    monkeypatch.setattr("p4dgs_ref.oracle.ports.MAX_ANSWER_BYTES", 1000)
+    for subject in ("offsets", "view"):
+        result = checker.check_port(FolderPort(tmp_path), only=subject).results[0]
+        assert result.verdict == "damaged"
+        assert f"{subject}." in result.explanation and "at most 1000 bytes" in result.explanation
+
+
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):
     misspelt = {**right("offsets"), "ordinari/out.x": np.ones(2)}
     with pytest.raises(safetensors.TensorError, match="offsets.safetensors: ordinari.* ordinary,"):

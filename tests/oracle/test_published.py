@@ -66,6 +66,8 @@ def test_safetensors_come_back():
     [
         (lambda d: d[:5], "length"),
         (lambda d: struct.pack("<Q", 2**60) + d[8:], "header"),
+        (lambda d: struct.pack("<Q", 2**20 + 1) + b"{}" + b" " * 2**20, "at most 1048576"),
+        (lambda d: safetensors.dump({"a" * 9000: np.ones(1)})[:-1], r"^a.{500,1020}got 7$"),
         (lambda d: d[:-1], "48 bytes"),
         (lambda d: d.replace(b'"F64"', b'"F65"'), "dtype"),
         (lambda d: d.replace(b"[3,2]", b"[3,3]"), "72 bytes"),
