@@ -186,6 +186,10 @@ def new_file(path, *reads, start=b""):
 
 
 def absent(path, remedy="delete it, or name another folder"):
-    """Refuse to train where another training has left the file `path`."""
-    if os.path.lexists(path):
+    """Refuse to train where another training has left the file `path`.
+
+    Raises OSError for a name that the file system does not take.
+    """
+    with suppress(FileNotFoundError, NotADirectoryError):
+        os.lstat(path)
         raise OutputError(f"{path}: exists; {remedy}")

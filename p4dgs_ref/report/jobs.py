@@ -142,7 +142,7 @@ def main_job(
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
-    for file in (f"{name}.p4dgs", "metrics.json"):
+    for file in (f"{name}.p4dgs", f"{name}_paper_design.p4dgs", "metrics.json"):
         absent(Path(folder) / file)
     warn(few_views(scene))
     # The report looks the same whatever style a program or a user's settings have chosen.

@@ -234,6 +234,8 @@ def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="file/report: expected a folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
+    with pytest.raises(OSError, match="File name too long"):  # of the other file alone
+        p4.main_job(replace(scene, name="a" * 240), "smoke", 0, tmp_path)
 
 
 def test_progress_on_a_terminal(scene, monkeypatch):
