@@ -4,16 +4,27 @@ The files count pixels from the corner of the image, and their cameras look alon
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
 (Q20). Therefore c_x = cx/s - 1/2 after downscaling by s, and the second and third column of every
 camera-to-world matrix change their sign.
+
+instant-ngp and nerfstudio write such files with more fields. The tables LENS, FRAME and TRANSFORMS
+have a row for every field of these dialects, whose check says what becomes of it. Some are refused
+unless they are 0, false or empty, because they would change pictures or cameras (`off`); others are
+not looked at, because they only tell another program how to train (`unused`). A field without a row
+is not looked at either, with a warning.
+
+Focal lengths and the principal point are pixels of an image of w x h. Where the pictures have
+another size, they are scaled. All views of a file have one lens; frames may repeat its fields.
 """
 
 import math
 import os
+import warnings
 from functools import partial
 
 import numpy as np
 
+from ..limits import MAX_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, fields, list_of, numbers, require, text
+from .fields import REQUIRED, choice, fields, list_of, numbers, require, shown, text
 from .files import read_image, read_json, shrink
 from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
 
@@ -33,16 +44,74 @@ def world_to_camera(value, where):
     return R, -R @ c2w[:3, 3]
 
 
+def off(value, where, expected):
+    """Check that a field is 0, false, null, empty, or a list of these."""
+    says_nothing = not any(value) if isinstance(value, list) else not value
+    require(says_nothing, where, f"{shown(value)}; expected {expected}")
+
+
+def unused(value, where):
+    """Check nothing."""
+
+
+def optional(names, check, **settings):
+    """The rows of fields that may be missing."""
+    return dict.fromkeys(names.split(), (partial(check, **settings), None))
+
+
+PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+LENS = {
+    **optional("camera_angle_x camera_angle_y", numbers, low=1e-6, high=math.pi - 1e-6),  # radians
+    **optional("fl_x fl_y", FOCAL),  # pixels of an image of w x h
+    **optional("cx cy", PRINCIPAL),
+    **optional("w h", numbers, low=1, high=MAX_LENS),
+    **optional("camera_model", choice, table=dict(zip(PINHOLES, PINHOLES))),
+    **optional(
+        "k1 k2 k3 k4 k5 k6 p1 p2 distortion_params is_fisheye fisheye_crop_radius "
+        "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
+        off,
+        expected="0 or no such field; other pictures must be undistorted first",
+    ),
+    **optional("x_fov y_fov", off, expected="camera_angle_x in radians, or fl_x in pixels"),
+    **optional("rolling_shutter", off, expected="pictures that were taken at one moment"),
+}
 FRAME = {
     "file_path": (text, REQUIRED),
     "time": (SHARE, REQUIRED),
     "transform_matrix": (world_to_camera, REQUIRED),
+    **LENS,
+    **optional(
+        "transform_matrix_start transform_matrix_end",
+        off,
+        expected="one transform_matrix, of a picture that was taken at one moment",
+    ),
+    **optional("intrinsic_matrix", off, expected="fl_x, fl_y, cx and cy"),
+    **optional("mask_path", off, expected="pictures with alpha, without a mask beside them"),
+    **optional(
+        "rotation sharpness depth_path depth_file_path colmap_im_id driver_parameters", unused
+    ),
 }
 TRANSFORMS = {
-    "camera_angle_x": (partial(numbers, low=1e-6, high=math.pi - 1e-6), None),  # radians
-    **dict.fromkeys(("fl_x", "fl_y"), (FOCAL, None)),  # pixels
-    **dict.fromkeys(("cx", "cy"), (PRINCIPAL, None)),
     "frames": (partial(list_of, check=partial(fields, table=FRAME, others=True)), REQUIRED),
+    **LENS,
+    **optional("from_na normal_mts_args", off, expected="matrices in the axes of OpenGL"),
+    **optional(
+        "white_transparent black_transparent fix_premult",
+        off,
+        expected="pictures whose own alpha says what is transparent",
+    ),
+    **optional("envmap", off, expected="a background of one colour"),
+    **optional(
+        "train_filenames val_filenames test_filenames",
+        off,
+        expected="the views of one split in every file",
+    ),
+    **optional(
+        "aabb aabb_scale scale offset render_aabb up n_frames n_extra_learnable_dims sharpen "
+        "sharpness_discard_threshold importance_sampling integer_depth_scale enable_depth_loading "
+        "enable_ray_loading applied_transform applied_scale orientation_override ply_file_path",
+        unused,
+    ),
 }
 
 
@@ -58,37 +127,77 @@ def read(folder, color, downscale):
 
 def read_split(folder, file, color, downscale):
     """The views of one transforms file; every field is checked before the first picture is read."""
-    data = fields(read_json(file), file, TRANSFORMS, others=True)
+    data = read_transforms(file)
+    views = []
+    for i, frame in enumerate(data.frames):
+        name, where = frame.file_path.replace("\\", "/"), f"{file}: frames[{i}].file_path"
+        image = read_image(folder, name, where)
+        check_lens(data, *image.shape[1::-1], file)
+        camera = make_camera(*frame.transform_matrix, data, *image.shape[1::-1], downscale)
+        shown_name = name.removeprefix("./").removesuffix(".png")
+        views.append(View(shown_name, *shrink(image, color, downscale, where), camera, frame.time))
+    return tuple(views)
+
+
+def read_transforms(file):
+    """The fields of a transforms file, with those of the lens that only its frames have."""
+    content = read_json(file)
+    data = fields(content, file, TRANSFORMS, others=True)
     require(data.frames, f"{file}: frames", "empty; expected at least one view")
+    for i, frame in enumerate(data.frames):
+        for name in sorted(LENS.keys() & content["frames"][i].keys()):
+            value, first = getattr(frame, name), getattr(data, name)
+            require(
+                first in (None, value),
+                f"{file}: frames[{i}].{name}",
+                f"{value}; expected {first}, because all views have one lens",
+            )
+            setattr(data, name, value)
     require(
         data.camera_angle_x or data.fl_x,
         f"{file}: camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    lens = data.camera_angle_x, data.fl_x, data.fl_y, data.cx, data.cy
-    views = []
-    for i, frame in enumerate(data.frames):
-        name, where = frame.file_path, f"{file}: frames[{i}].file_path"
-        image = read_image(folder, name, where)
-        camera = make_camera(*frame.transform_matrix, *lens, *image.shape[1::-1], downscale)
-        shown = name.removeprefix("./").removesuffix(".png")
-        views.append(View(shown, *shrink(image, color, downscale, where), camera, frame.time))
-    return tuple(views)
+    unknown = {*content}.union(*content["frames"]) - TRANSFORMS.keys() - FRAME.keys()
+    if unknown:
+        warnings.warn(f"{file}: fields that are not known are not read: {sorted(unknown)}")
+    return data
 
 
-def make_camera(R, T, angle, fl_x, fl_y, cx, cy, width, height, downscale):
-    """The camera of the downscaled image; the fields of the file are for the full one."""
-    f_x = width / 2 / math.tan(angle / 2) if fl_x is None else fl_x
-    f_y = f_x if fl_y is None else fl_y  # pixels are square unless the file says otherwise
-    cx = width / 2 if cx is None else cx
-    cy = height / 2 if cy is None else cy
+def check_lens(lens, width, height, file):
+    """Refuse fields of a lens that contradict each other, or the size of a picture."""
+    w, h = lens.w or width, lens.h or height
+    require(
+        abs(w * height - h * width) < max(w, h),  # less than a pixel of the shorter side
+        f"{file}: w, h",
+        f"{w:g}x{h:g}; expected the proportions of the pictures, {width}x{height} pixels",
+    )
+    for axis, side in (("x", w), ("y", h)):
+        focal, angle = getattr(lens, f"fl_{axis}"), getattr(lens, f"camera_angle_{axis}")
+        found = 2 * math.atan(side / 2 / focal) if focal else angle or 0.0
+        require(
+            not angle or abs(found - angle) <= 0.01 * angle,
+            f"{file}: camera_angle_{axis}",
+            f"{angle}; expected {found:.6g}, which fl_{axis} and {side:g} pixels give, or only one",
+        )
+
+
+def make_camera(R, T, lens, width, height, downscale):
+    """The camera of a picture of this size after downscaling; the lens is that of w x h."""
+    w, h = lens.w or width, lens.h or height
+    s_x, s_y = w / width * downscale, h / height * downscale
+    f_x = lens.fl_x or w / 2 / math.tan(lens.camera_angle_x / 2)
+    of_angle = lens.camera_angle_y and h / 2 / math.tan(lens.camera_angle_y / 2)
+    f_y = lens.fl_y or of_angle or f_x  # pixels are square unless the file says otherwise
+    cx = w / 2 if lens.cx is None else lens.cx
+    cy = h / 2 if lens.cy is None else lens.cy
     return Camera(
         R,
         T,
-        f_x / downscale,
-        f_y / downscale,
-        cx / downscale - 0.5,
-        cy / downscale - 0.5,
+        f_x / s_x,
+        f_y / s_y,
+        cx / s_x - 0.5,
+        cy / s_y - 0.5,
         width // downscale,
         height // downscale,
     )

@@ -4,6 +4,8 @@ Every subject runs an equation of the paper at its smallest. Networks are the id
 follows them shows.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from p4dgs_ref.scenes.dnerf import make_camera
@@ -215,9 +217,9 @@ def lens_vjp(camera_angle_x, fl_x, fl_y, cx, cy, w, h, downscale):
     Values that the file does not give are None. cx and cy count from the image's corner, `center`
     from the centre of its first pixel: c_x = cx / downscale - 1/2.
     """
-    camera = make_camera(
-        np.eye(3), np.zeros(3), camera_angle_x, fl_x, fl_y, cx, cy, w, h, downscale
-    )
+    angles = dict(camera_angle_x=camera_angle_x, camera_angle_y=None)
+    lens = SimpleNamespace(**angles, fl_x=fl_x, fl_y=fl_y, cx=cx, cy=cy, w=w, h=h)
+    camera = make_camera(np.eye(3), np.zeros(3), lens, w, h, downscale)
     outputs = {
         "focal": np.array([camera.f_x, camera.f_y]),
         "center": np.array([camera.c_x, camera.c_y]),

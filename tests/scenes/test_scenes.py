@@ -127,6 +127,37 @@ def test_downscale_averages_boxes_of_premultiplied_colour(tmp_path):
     )
 
 
+@pytest.mark.parametrize("w, h", [(24, 16), (25, 17), (6, 4), (12, 8)])
+def test_pictures_of_another_size_than_the_file_says(tmp_path, w, h):
+    """Focal lengths and the principal point are pixels of w x h, whatever the pictures have."""
+    x, y = w / WIDTH, h / HEIGHT
+    square = {"fl_x": 20.0 * x, "cx": 5.0 * x, "cy": 4.5 * y, "w": w, "h": h}
+    for folder, head in {"square": square, "other": {**square, "fl_y": 30.0 * y}}.items():
+        write_folder(tmp_path / folder, head=head)
+        camera = load_scene(tmp_path / folder, downscale=2).train[0].camera
+        found = camera.f_x, camera.f_y, camera.c_x, camera.c_y, camera.width, camera.height
+        f_y = head.get("fl_y", head["fl_x"]) / y / 2
+        np.testing.assert_allclose(found, (10, f_y, 2, 1.75, 6, 4), rtol=1e-14)
+
+
+def test_each_field_of_the_dialects_is_used_or_harmless_or_warned_of(folder, recwarn):
+    """Other programs write a lens without distortion in many words, some of them in each frame."""
+    plain = load_scene(folder).train[1].camera
+    harmless = {"aabb_scale": 16, "applied_scale": 1, "ply_file_path": "points.ply", "k1": 0.0}
+    harmless |= {"camera_model": "OPENCV", "is_fisheye": False, "rolling_shutter": [0, 0, 0, 0]}
+    edit(folder, lambda data: data.update(harmless))
+    edit(folder, lambda data: [f.update(w=12, h=8, sharpness=9, k1=0) for f in data["frames"]])
+    edit(folder, lambda data: data["frames"][1].update(file_path=".\\train\\r_001.png"))
+    view = load_scene(folder).train[1]
+    np.testing.assert_equal(vars(view.camera), vars(plain))
+    assert view.name == "train/r_001" and not recwarn.list
+    edit(folder, lambda data: data.update(camera_angle_y=0.5))
+    assert load_scene(folder).train[1].camera.f_y == HEIGHT / 2 / math.tan(0.25)
+    edit(folder, lambda data: data["frames"][1].update(exposure=2))
+    with pytest.warns(UserWarning, match=r"transforms_train.json: .*\['exposure'\]"):
+        load_scene(folder)
+
+
 def test_effects_listed_in_the_folder(folder):
     (folder / "scene.json").write_text(
         json.dumps({"effects": ["specular", "occlusion", "rotation"]})
@@ -277,6 +308,42 @@ MISTAKES = [
     ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
     ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
     ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
+    *(
+        (f"{name} {value}", lambda d, f={name: value}: d.update(f), (name, *words))
+        for name, value, *words in (
+            ("w", 0, "[1, 1e+09]"),
+            ("w", 24, "24x8", "12x8 pixels"),
+            ("h", 9, "w, h: 12x9", "12x8 pixels"),
+            ("camera_angle_y", 0, "[1e-06"),
+            ("fl_x", 20, "camera_angle_x: 0.69; expected 0.582914", "fl_x"),
+            ("k1", 0.01, "0.01; expected 0", "undistort"),
+            ("p2", -1e-9, "-1e-09; expected 0", "undistort"),
+            ("k4", math.nan, "nan; expected 0", "undistort"),
+            ("distortion_params", [0, 0.1], "[0, 0.1]; expected 0", "undistort"),
+            ("is_fisheye", True, "True", "undistort"),
+            ("camera_model", "OPENCV_FISHEYE", "'OPENCV_FISHEYE'", "PINHOLE", "OPENCV"),
+            ("x_fov", 40, "40", "camera_angle_x in radians"),
+            ("from_na", True, "True", "OpenGL"),
+            ("white_transparent", True, "True", "alpha"),
+            ("test_filenames", ["test/r_000.png"], "r_000", "one split"),
+        )
+    ),
+    *(
+        (f"{name} of a frame", lambda d, f={name: value}: d["frames"][1].update(f), words)
+        for name, value, *words in (
+            ("camera_angle_x", 0.7, "frames[1].camera_angle_x: 0.7; expected 0.69", "one lens"),
+            ("fl_x", "long", "frames[1].fl_x", "a number"),
+            ("k2", 0.1, "frames[1].k2", "undistort"),
+            ("mask_path", "masks/r_001.png", "frames[1].mask_path", "alpha"),
+            ("rolling_shutter", [0, 0, 1, 0], "frames[1].rolling_shutter", "at one moment"),
+            ("intrinsic_matrix", [[1]], "frames[1].intrinsic_matrix", "fl_x"),
+        )
+    ),
+    (
+        "frames of two lenses",
+        lambda d: [frame.update(cx=i) for i, frame in enumerate(d["frames"], 4)],
+        ("frames[1].cx: 5", "expected 4", "one lens"),
+    ),
 ]
 
 
