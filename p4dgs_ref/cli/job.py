@@ -213,7 +213,9 @@ def render(arguments):
     with filled(arguments.output, arguments.file) as staging:
         for name, camera, t in views:
             images.append(np.clip(model.render(camera, t, known[arguments.settings]), 0, 1))
-            iio.imwrite(staging / f"{name}.png", (images[-1] * 255).round().astype(np.uint8))
+            pixels = (images[-1] * 255).round().astype(np.uint8)
+            png = iio.imwrite("<bytes>", pixels, extension=".png")
+            (staging / f"{name}.png").write_bytes(png)
         if not arguments.scene:
             figures.write_gif(staging / "motion.gif", images)
     tell(f"{arguments.output}: {len(images)} images")

@@ -127,13 +127,14 @@ def write_gif(path, images):
     """Write images (H, W, 3) in [0, 1] as a GIF that plays forwards and backwards."""
     import imageio.v3 as iio
 
-    iio.imwrite(
-        path,
+    gif = iio.imwrite(
+        "<bytes>",
         [(image * 255).round().astype(np.uint8) for image in (*images, *images[-2:0:-1])],
         extension=".gif",
         duration=60,
         loop=0,
     )
+    path.write_bytes(gif)
 
 
 def write_motion(path, model, camera, frames=24, zoom=4):

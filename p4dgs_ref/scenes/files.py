@@ -13,6 +13,7 @@ The first anchors of a real scene stand at the points of
 import json
 import math
 import os
+import re
 import struct
 import warnings
 from contextlib import contextmanager
@@ -50,7 +51,7 @@ BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 def read_json(file, expected=FOLDERS):
     """The JSON object in a file; `expected` says what it should be."""
     with reading(file, f"JSON in UTF-8, {expected}", most=MAX_JSON_BYTES):
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8-sig"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
     return data
 
@@ -60,15 +61,15 @@ def read_image(folder, name, where):
     file = folder / name
     if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
         file = folder / f"{name}.png"
-    require(os.path.isfile(file), where, f"no picture {name!r}; expected {file}")
+    expected = folder / name if Path(name).suffix else file
+    require(os.path.isfile(file), where, f"no picture {name!r}; expected {expected}")
     require(
         file.resolve().is_relative_to(folder.resolve()),
         where,
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
-    with reading(file, "a PNG of RGB or RGBA pixels", where), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a picture so large that it could be an attack
-        with iio.imopen(file, "r", plugin="pillow") as opened:
+    with reading(file, "a PNG of RGB or RGBA pixels", where), open(file, "rb") as stream:
+        with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
             shape = opened.properties().shape
             require(
                 math.prod(shape) <= MAX_PICTURE,
@@ -109,7 +110,9 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
     size = os.path.getsize(file)
     require(size <= most, place, f"larger than {most} bytes; expected {expected}")
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
+            yield
     except SceneError:
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
@@ -122,16 +125,16 @@ def read_points(path: str | Path) -> np.ndarray:
     require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
     with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt or .bin"):
         points = READERS[path.suffix](path)
-    require(
-        points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
-        path,
-        f"expected 1 to {MAX_ANCHORS} points, [A, 3]; found {list(points.shape)}",
-    )
-    require(
-        points.dtype.kind in "fiu" and np.all(np.abs(points) <= MAX_COORDINATE),
-        path,
-        f"expected finite coordinates of at most {MAX_COORDINATE:g}",
-    )
+        require(
+            points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
+            path,
+            f"expected 1 to {MAX_ANCHORS} points, [A, 3]; found {list(points.shape)}",
+        )
+        require(
+            points.dtype.kind in "fiu" and np.all(np.abs(points.astype(float)) <= MAX_COORDINATE),
+            path,
+            f"expected finite coordinates of at most {MAX_COORDINATE:g}",
+        )
     return points.astype(float)
 
 
@@ -162,13 +165,13 @@ def read_ply(path):
     whose fields are their properties.
     """
     data = Path(path).read_bytes()
-    head, end, _ = data[:MAX_HEADER_BYTES].partition(b"\nend_header\n")
+    end = re.search(rb"\r?\nend_header\r?\n", data[:MAX_HEADER_BYTES])
     require(
-        head[:3] == b"ply" and end,
+        data[:3] == b"ply" and end,
         path,
         f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
     )
-    body = data[len(head) + len(end) :]
+    head, body = data[: end.start()], data[end.end() :]
     start, *elements = head.decode("ascii").split("\nelement ")
     require(
         elements and elements[0].startswith("vertex "),
@@ -189,6 +192,18 @@ def read_vertices(path):
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
 
 
+def read_points3d_text(path):
+    """The coordinates [A, 3] in COLMAP's points3D.txt."""
+    rows = np.loadtxt(path, usecols=range(8), ndmin=2)
+    counted, colors = rows[:, [0, 4, 5, 6]], rows[:, 4:7]
+    require(
+        np.all(counted % 1 == 0) and np.all(colors <= 255),
+        path,
+        "expected lines of POINT3D_ID X Y Z R G B ERROR TRACK[], as COLMAP writes them",
+    )
+    return rows[:, 1:4]
+
+
 def read_points3d(path):
     """The coordinates [A, 3] in COLMAP's points3D.bin."""
     data, at, points = path.read_bytes(), 8, []
@@ -203,8 +218,8 @@ def read_points3d(path):
 
 
 READERS = {
-    ".npy": np.load,
+    ".npy": partial(np.lib.format.open_memmap, mode="r"),  # an array; its size is known at once
     ".ply": read_vertices,
     ".bin": read_points3d,
-    ".txt": partial(np.loadtxt, usecols=(1, 2, 3), ndmin=2),
+    ".txt": read_points3d_text,
 }

@@ -135,6 +135,22 @@ def test_from_a_scene_to_a_file_and_back(ok):
     assert len(Path("sizes/heat.csv").read_text().splitlines()) == 20 + 1
 
 
+def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
+    """Only a shell replaces ~; nothing is read from the home folder or written to it."""
+    Path("home").mkdir()
+    monkeypatch.setenv("HOME", str(Path("home").resolve()))
+    shutil.copytree(scene, "~/scene")
+    ok("train ~/scene -o ~/run --preset smoke --quiet")
+    ok("encode ~/run -o ~/x.p4dgs")
+    ok("evaluate ~/x.p4dgs ~/scene -o ~/compared")
+    ok("render ~/x.p4dgs -o ~/held --frames 1 --size 4")
+    ok("render ~/x.p4dgs -o ~/views --scene ~/scene")
+    ok(f"simulate {ROOT}/tiny_scenes/static/scene.json -o ~/drawn")
+    wanted = {"held/motion.gif", "held/t_000.png", "views/test_r_1.png", "drawn/test/r_009.png"}
+    assert wanted <= {str(file.relative_to("~")) for file in Path("~").rglob("*")}
+    assert not list(Path("home").iterdir())
+
+
 def test_train_on_the_layout_of_nerf_ds(ok):
     options = "--preset smoke --downscale 4 --quiet"
     assert "200 anchors" in ok(f"train twocams -o run {options}")

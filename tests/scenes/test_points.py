@@ -1,5 +1,6 @@
 """Point clouds from .npy files, binary .ply files and COLMAP's points3D.txt and .bin."""
 
+import io
 import struct
 
 import numpy as np
@@ -53,9 +54,19 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
     lines = [f"7 {x!r} {y!r} {z!r} 9 9 9 0.5" for x, y, z in POINTS.tolist()]
     text = "# COLMAP\n" + "".join(line + track + "\n" for line, track in zip(lines, tracks))
     (tmp_path / "points3D.txt").write_text(text)
+    (tmp_path / "crlf.ply").write_bytes(LITTLE.replace("\n", "\r\n").encode() + binary("<"))
+    np.save(tmp_path / "h.npy", POINTS.astype(np.float16))
     whole = dict.fromkeys(("n.npy", "points3D.txt", "points3D.bin"), np.float64)
-    for name, dtype in (whole | dict.fromkeys(("l.ply", "b.ply", "f.npy"), np.float32)).items():
+    single = dict.fromkeys(("l.ply", "b.ply", "crlf.ply", "f.npy"), np.float32)
+    for name, dtype in (whole | single | {"h.npy": np.float16}).items():
         assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
+
+
+def archive(points):
+    """An .npz file."""
+    file = io.BytesIO()
+    np.savez(file, points)
+    return file.getvalue()
 
 
 def header(old="", new=""):
@@ -68,6 +79,10 @@ def header(old="", new=""):
         ("missing.ply", None, ["missing; expected points"]),
         ("points.obj", b"", [".npy, .ply, .bin, .txt"]),
         ("points.txt", b"1 2 3", ["read", "points3D.txt"]),
+        ("x_y_z_r_g_b.txt", b"0.5 1 2 9 9 9\n" * 2, ["read", "points3D.txt"]),
+        ("normals.txt", b"0.5 1 2 0 0 1 9 9 9\n" * 2, ["POINT3D_ID X Y Z R G B ERROR"]),
+        ("gray.txt", b"1 1 2 3 256 9 9 0.5\n", ["POINT3D_ID X Y Z R G B ERROR"]),
+        ("none.txt", b"# no point\n", ["1 to 4194304 points"]),
         ("words.txt", b"1 a b c 9 9 9 0.5", ["read", "points3D.txt"]),
         ("empty.ply", b"", ["ply"]),
         ("cut.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n", ["end_header"]),
@@ -83,6 +98,7 @@ def header(old="", new=""):
         ("count.ply", header("vertex 4", f"vertex {10**30}"), ["a binary .ply"]),
         ("nan.ply", header() + binary("<", [[1, np.nan, 3]] * 4), ["finite"]),
         ("text.npy", b"no array", ["points in a .npy"]),
+        ("archive.npy", archive(POINTS), ["read", "points in a .npy"]),
         ("no.bin", b"", ["byte 8"]),
         ("none.bin", points3d(()), ["1 to 4194304 points"]),
         ("cut.bin", points3d()[:-1], ["read", "points3D.txt or .bin"]),
@@ -109,6 +125,7 @@ def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):
         (np.full((4, 3), "a"), "finite"),
         (np.full((4, 3), np.inf), "finite"),
         (np.full((4, 3), 1e300), "at most 1e+06"),
+        (np.full((4, 3), np.longdouble(2) ** 2000), "at most 1e+06"),
         (np.broadcast_to(np.int8(0), (2**22 + 1, 3)), "1 to 4194304 points"),
         (np.array([None]), "points in a .npy"),
     ],

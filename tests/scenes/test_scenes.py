@@ -159,9 +159,8 @@ def test_each_field_of_the_dialects_is_used_or_harmless_or_warned_of(folder, rec
 
 
 def test_effects_listed_in_the_folder(folder):
-    (folder / "scene.json").write_text(
-        json.dumps({"effects": ["specular", "occlusion", "rotation"]})
-    )
+    listed = json.dumps({"effects": ["specular", "occlusion", "rotation"]})
+    (folder / "scene.json").write_text(listed, encoding="utf-8-sig")  # with a mark, as on Windows
     scene = load_scene(folder)
     assert scene.effects == ("rotation", "occlusion")  # the model's, in the order of the list
     assert not scene.background.any()  # no `background`: black, the neutral input
@@ -186,6 +185,11 @@ MISTAKES = [
         "absent picture",
         lambda d: d["frames"][1].update(file_path="./train/r_9"),
         ("frames[1].file_path", "r_9.png"),
+    ),
+    (
+        "absent picture with its suffix",
+        lambda d: d["frames"][1].update(file_path="./train/r_9.jpg"),
+        ("frames[1].file_path: no picture './train/r_9.jpg'; expected",),
     ),
     ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time", "[0, 1]")),
     (
@@ -354,7 +358,8 @@ def test_mistakes_in_a_transforms_file(folder, change, words):
     (folder / "linked").symlink_to(folder.parent)
     os.mkfifo(folder / "pipe.png")
     edit(folder, change)
-    refuse(("transforms_train.json", *words), load_scene, folder)
+    message = refuse(("transforms_train.json", *words), load_scene, folder)
+    assert ".jpg.png" not in message
 
 
 def test_pictures_inside_the_folder_by_any_way(folder):

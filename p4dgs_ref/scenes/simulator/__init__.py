@@ -49,7 +49,8 @@ def simulate(
             (folder / f"transforms_{split}.json").write_text(transforms(split, posed))
         for done, (name, camera, t) in enumerate(named, 1):
             pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
-            iio.imwrite(folder / name, pixels, extension=".png", optimize=True)
+            png = iio.imwrite("<bytes>", pixels, extension=".png", optimize=True)
+            (folder / name).write_bytes(png)
             progress(done, len(named))
 
 
