@@ -20,7 +20,7 @@ from .scenes.scene import Scene
 from .splatting.settings import FAST, Settings
 from .training import fit as training
 from .training import presets, trainer
-from .training.fit import SAVE_EVERY, few_views, lost, warn
+from .training.fit import SAVE_EVERY, doubts, lost, warn
 from .training.parameters import Parameters
 from .training.presets import PAPER_SYNTHETIC, Preset
 
@@ -127,12 +127,13 @@ def train(
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
     first equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
-    training views, and where what moves is hardly better than in the mean of the training pictures.
+    training views, of pictures and starting points that are of no use, and where what moves is
+    hardly better than in the mean of the training pictures.
     """
-    warn(few_views(scene))
-    fitted = fit(
-        scene, preset, seed, settings, points, folder, resume, stream, save_every, **changes
-    )
+    preset = choose(preset, changes)
+    for sentence in doubts(scene, preset, seed, points):
+        warn(sentence)
+    fitted = fit(scene, preset, seed, settings, points, folder, resume, stream, save_every)
     warn(what_is_lost(fitted))
     return fitted.model()
 

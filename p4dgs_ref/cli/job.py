@@ -18,7 +18,7 @@ from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_points_for, read_scene_json
-from ..training.fit import CHECKPOINT, GO_ON, few_views
+from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
 from . import UsageError, caution, progress, require, say, show, tell, text
 
@@ -119,7 +119,8 @@ def train(arguments):
             "no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
         )
-    caution(few_views(scene))
+    for sentence in doubts(scene, preset, arguments.seed):
+        caution(sentence)
     with made(arguments.output) as folder:
         trainer, seconds = timed(
             designs.fit,

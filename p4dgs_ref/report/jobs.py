@@ -28,7 +28,7 @@ from ..designs import (
 from ..output import absent, filled
 from ..scenes.scene import Scene
 from ..signals import deferred
-from ..training.fit import few_views, warn
+from ..training.fit import doubts, warn
 from ..training.presets import Preset, differences
 from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
@@ -144,7 +144,8 @@ def main_job(
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
     for file in (f"{name}.p4dgs", f"{name}_paper_design.p4dgs", "metrics.json"):
         absent(Path(folder) / file)
-    warn(few_views(scene))
+    for sentence in doubts(scene, preset, seed):
+        warn(sentence)
     # The report looks the same whatever style a program or a user's settings have chosen.
     with filled(folder) as staging, report.pyplot().style.context("default"):
         (ours, rows, images, model, history), paper = designs(

@@ -1,6 +1,7 @@
 """Training to the end, with a checkpoint from which it goes on to the same bytes.
 
-Warnings say that a scene has few views, and that a model has lost what moves.
+Warnings say before a training that views, pictures or points are of little use, and after it that a
+model has lost what moves.
 """
 
 import hashlib
@@ -19,11 +20,15 @@ from .. import effects as fx
 from ..limits import MAX_CHECKPOINT_BYTES
 from ..output import absent, destination, locked, write_atomically
 from ..signals import deferred
+from ..splatting.settings import FAST
+from .initial import lattice_nodes, starting_points
 from .loop import Progress, psnr
 from .presets import Preset, rows_of
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
+FEW_POINTS = 0.1  # the share of starting points that may merge or be unseen without a warning
+FAR = 10  # times the distance from the middle of nine tenths of the points
 FOREGROUND_THRESHOLD = 0.1  # difference of a channel from which on two pixels disagree
 TIMES = 9  # the model is drawn at so many; the median of these pictures shows it at rest
 MAX_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
@@ -83,6 +88,60 @@ def few_views(scene):
         f"scene {scene.name}: {len(scene.train)} training views; views that were not trained "
         f"on will be poor with fewer than {FEW_VIEWS}; 48 are enough for the packaged scenes"
     )
+
+
+def counted(counts):
+    """Counts as words, {what: how many}, without those that are 0."""
+    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+
+
+def empty_pictures(scene):
+    """What to say where pictures show nothing, or the same as that of a camera elsewhere."""
+    views, first = [*scene.train, *scene.test], {}
+    plain = [np.ptp(view.image, axis=(0, 1)).max() == 0 for view in views]
+    others = [first.setdefault(hash(view.image.tobytes()), view) for view in views]
+    moved = [np.any(a.camera.center != b.camera.center) for a, b in zip(views, others)]
+    copies = np.greater(moved, plain).sum()
+    told = counted({"of one colour alone": sum(plain), "equal to that of another camera": copies})
+    return told and (
+        f"scene {scene.name}: of {len(views)} pictures, {told}; good figures on these mean nothing"
+    )
+
+
+def odd_points(scene, preset, seed=0, points=None):
+    """What to say where points that anchors start from merge, are not seen, or lie far off."""
+    points = scene.points if points is None else points
+    rng = np.random.default_rng(seed)  # draws the points of a training with this seed
+    points = starting_points(points, preset.anchors, preset.extent, rng)
+    depth = np.zeros(len(points))  # the largest one at which a picture has the point
+    for view in scene.train:
+        c, rest = view.camera, np.flatnonzero(depth <= FAST.near)
+        x, y, z = (points[rest] @ c.R.T + c.T).T
+        u = c.f_x * x + (c.c_x - (c.width - 1) / 2) * z  # pixels from the middle, times z
+        v = c.f_y * y + (c.c_y - (c.height - 1) / 2) * z
+        inside = (abs(u) <= c.width / 2 * z) & (abs(v) <= c.height / 2 * z)
+        depth[rest] = np.maximum(depth[rest], np.where(inside, z, 0))
+    close = np.sum((depth > 0) & (depth <= FAST.near))
+    merged = len(points) - len(lattice_nodes(points, preset))
+    reach = np.abs(points - np.median(points, axis=0)).max(axis=1)
+    far = np.sum(reach > FAR * np.quantile(reach, 0.9))
+    counts = {
+        f"sharing the voxel of another, so that they merge (voxel {preset.voxel:g})": merged,
+        f"nearer than {FAST.near:g} to the cameras": close,
+        "outside every training view": np.sum(depth == 0),
+        f"more than {FAR} times as far from their middle as nine tenths of them": far,
+    }
+    if not far and max(counts.values()) <= FEW_POINTS * len(points):
+        return ""
+    return (
+        f"scene {scene.name}: of {len(points)} starting points, {counted(counts)}; "
+        "check their units and axes"
+    )
+
+
+def doubts(scene, preset, seed=0, points=None):
+    """What to say before a training, in one line each; empty where there is nothing to say."""
+    return few_views(scene), empty_pictures(scene), odd_points(scene, preset, seed, points)
 
 
 def disagreements(image, other):

@@ -49,6 +49,11 @@ def starting_points(points, count, extent, rng):
     return points
 
 
+def lattice_nodes(points, preset):
+    """The nodes [A, 3] of the lattice that are nearest to points, each of them once."""
+    return np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel
+
+
 def initial_parameters(preset, design, rng, points=None):
     """The Parameters of a model before training; `points` [A, 3] replace the random ones.
 
@@ -56,7 +61,7 @@ def initial_parameters(preset, design, rng, points=None):
     "grid.0" and so on.
     """
     points = starting_points(points, preset.anchors, preset.extent, rng)
-    x_a = np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel  # nodes of the lattice
+    x_a = lattice_nodes(points, preset)
     A = len(x_a)
     start = {
         "feature": rng.normal(size=(A, design.d)) * preset.feature_std,

@@ -10,6 +10,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
 from p4dgs_ref.training import fit
+from p4dgs_ref.training.presets import TINY
 from tests.training.bars import Share, moving, scene
 
 
@@ -25,6 +26,45 @@ def test_few_views_are_told_of_in_one_line():
     told = fit.few_views(scene(fit.FEW_VIEWS - 1))
     assert f"{fit.FEW_VIEWS - 1} training views" in told and "\n" not in told
     assert not fit.few_views(scene(fit.FEW_VIEWS))
+
+
+def test_pictures_without_content_are_counted():
+    """A good score on them means nothing: an empty model has it, too."""
+    full = moving()
+    assert not fit.empty_pictures(full)
+    view, *others = full.train
+    blank = [replace(v, image=np.full_like(v.image, 0.5)) for v in full.train[:2]]
+    told = fit.empty_pictures(replace(full, train=[*blank, *full.train[2:]]))
+    assert "of 5 pictures, 2 of one colour alone;" in told and "\n" not in told
+    copied = [replace(other, image=view.image) for other in others]
+    told = fit.empty_pictures(replace(full, train=[view, *copied]))
+    assert "of 5 pictures, 3 equal to that of another camera;" in told
+    at_rest = [replace(other, image=view.image, camera=view.camera) for other in others]
+    assert not fit.empty_pictures(replace(full, train=[view, *at_rest]))
+
+
+CLOUD = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
+OUTSIDE = [[0, 0, 50.0]] * 100 + np.arange(100)[:, None]
+BEFORE_A_LENS = np.array([3, 0, 1]) * (1 - np.linspace(0.01, 0.05, 100))[:, None]
+POINTS = [
+    (CLOUD, 1, []),
+    (CLOUD / 1e6, 1, ["of 500 starting points", "499 sharing the voxel", "(voxel 0.001)"]),
+    (np.vstack([CLOUD, [[0, 1e5, 0]]]), 1, ["of 501", "1 more than 10 times as far"]),
+    (np.vstack([CLOUD, OUTSIDE]), 1, ["of 600", "100 outside every training view"]),
+    (np.vstack([CLOUD, BEFORE_A_LENS]), 1, ["of 600", "100 nearer than 0.2 to the cameras"]),
+    (np.vstack([CLOUD, CLOUD[:9]]), 1, []),
+    (None, 1, []),
+    (None, 1000, ["of 200 starting points", "outside every training view"]),
+]
+
+
+@pytest.mark.parametrize("points, extent, words", POINTS)
+def test_starting_points_that_training_cannot_use_are_counted(points, extent, words):
+    preset = replace(TINY, extent=extent)
+    told = fit.odd_points(replace(scene(30), points=points), preset)
+    assert bool(told) == bool(words) and "\n" not in told
+    assert [word for word in words if word not in told] == [], told
+    assert fit.odd_points(scene(30), preset, points=points) == told
 
 
 @pytest.mark.parametrize("share, is_told", [(0, True), (0.28, True), (0.3, False), (1, False)])
@@ -64,8 +104,12 @@ def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
 
 
 def test_training_warns_before_and_after():
-    told = messages(p4.train, moving(), "smoke", stage_ends=(1, 2, 3, 4))
-    assert len(told) == 2 and "training views" in told[0] and "is lost" in told[1]
+    view, *others = moving().train
+    blank = replace(view, image=np.ones_like(view.image))
+    odd = replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
+    told = messages(p4.train, odd, "smoke", stage_ends=(1, 2, 3, 4))
+    words = ("training views", "1 of one colour", "8 sharing the voxel", "is lost")
+    assert [word in line for word, line in zip(words, told, strict=True)] == [True] * 4
 
 
 @pytest.mark.filterwarnings("always:views")
