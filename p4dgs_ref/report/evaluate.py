@@ -8,6 +8,7 @@ from ..equations import ssim
 from ..model import Model
 from ..scenes.scene import Scene
 from ..splatting.settings import FAST, Settings
+from ..training.fit import warn
 from ..training.loop import psnr
 from .inspect import components
 
@@ -38,6 +39,18 @@ def score(image, view):
     }
 
 
+def other_background(model, scene, views):
+    """What to say where pictures with alpha lie over another background than the model's."""
+    same = np.abs(model.background - scene.background).max() <= 1 / 255
+    if same or all(view.alpha is None for view in views):
+        return ""
+    return (
+        f"the file has the background {np.round(model.background, 3)}, scene {scene.name} "
+        f"{np.round(scene.background, 3)}; expected equal ones, by load_scene(..., background=...) "
+        "or the effect `background` in scene.json"
+    )
+
+
 def evaluate(
     model: Model, scene: Scene, settings: Settings = FAST, split: str = "test"
 ) -> tuple[dict, list[dict], list[np.ndarray]]:
@@ -45,11 +58,13 @@ def evaluate(
 
     Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,
     ssim, render_fps, anchors, gaussians}; there is one row {name, time, ...} and one image
-    (H, W, 3) per view. Raises ValueError where the scene has no such views.
+    (H, W, 3) per view. Raises ValueError where the scene has no such views. Warns of a scene that
+    lies over another background than the model.
     """
     views = getattr(scene, split)
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
+    warn(other_background(model, scene, views))
     images, seconds = map(
         list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))
     )

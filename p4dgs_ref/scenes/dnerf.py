@@ -46,8 +46,11 @@ def world_to_camera(value, where):
 
 def off(value, where, expected):
     """Check that a field is 0, false, null, empty, or a list of these."""
-    says_nothing = not any(value) if isinstance(value, list) else not value
-    require(says_nothing, where, f"{shown(value)}; expected {expected}")
+    require(
+        not (any(value) if isinstance(value, list) else value),
+        where,
+        f"{shown(value)}; expected {expected}",
+    )
 
 
 def unused(value, where):
@@ -132,8 +135,9 @@ def read_split(folder, file, color, downscale):
     for i, frame in enumerate(data.frames):
         name, where = frame.file_path.replace("\\", "/"), f"{file}: frames[{i}].file_path"
         image = read_image(folder, name, where)
-        check_lens(data, *image.shape[1::-1], file)
-        camera = make_camera(*frame.transform_matrix, data, *image.shape[1::-1], downscale)
+        size = image.shape[1::-1]
+        check_lens(data, *size, file)
+        camera = make_camera(*frame.transform_matrix, data, *size, downscale)
         shown_name = name.removeprefix("./").removesuffix(".png")
         views.append(View(shown_name, *shrink(image, color, downscale, where), camera, frame.time))
     return tuple(views)
@@ -142,26 +146,26 @@ def read_split(folder, file, color, downscale):
 def read_transforms(file):
     """The fields of a transforms file, with those of the lens that only its frames have."""
     content = read_json(file)
-    data = fields(content, file, TRANSFORMS, others=True)
-    require(data.frames, f"{file}: frames", "empty; expected at least one view")
-    for i, frame in enumerate(data.frames):
+    values = fields(content, file, TRANSFORMS, others=True)
+    require(values.frames, f"{file}: frames", "empty; expected at least one view")
+    for i, frame in enumerate(values.frames):
         for name in sorted(LENS.keys() & content["frames"][i].keys()):
-            value, first = getattr(frame, name), getattr(data, name)
+            value, first = getattr(frame, name), getattr(values, name)
             require(
                 first in (None, value),
                 f"{file}: frames[{i}].{name}",
                 f"{value}; expected {first}, because all views have one lens",
             )
-            setattr(data, name, value)
+            setattr(values, name, value)
     require(
-        data.camera_angle_x or data.fl_x,
+        values.camera_angle_x or values.fl_x,
         f"{file}: camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
     unknown = {*content}.union(*content["frames"]) - TRANSFORMS.keys() - FRAME.keys()
     if unknown:
         warnings.warn(f"{file}: fields that are not known are not read: {sorted(unknown)}")
-    return data
+    return values
 
 
 def check_lens(lens, width, height, file):
@@ -187,15 +191,14 @@ def make_camera(R, T, lens, width, height, downscale):
     w, h = lens.w or width, lens.h or height
     s_x, s_y = w / width * downscale, h / height * downscale
     f_x = lens.fl_x or w / 2 / math.tan(lens.camera_angle_x / 2)
-    of_angle = lens.camera_angle_y and h / 2 / math.tan(lens.camera_angle_y / 2)
-    f_y = lens.fl_y or of_angle or f_x  # pixels are square unless the file says otherwise
+    f_y = lens.fl_y or (lens.camera_angle_y and h / 2 / math.tan(lens.camera_angle_y / 2))
     cx = w / 2 if lens.cx is None else lens.cx
     cy = h / 2 if lens.cy is None else lens.cy
     return Camera(
         R,
         T,
         f_x / s_x,
-        f_y / s_y,
+        (f_y or f_x) / s_y,  # pixels are square unless the file says otherwise
         cx / s_x - 0.5,
         cy / s_y - 0.5,
         width // downscale,

@@ -61,8 +61,8 @@ def read_image(folder, name, where):
     file = folder / name
     if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
         file = folder / f"{name}.png"
-    expected = folder / name if Path(name).suffix else file
-    require(os.path.isfile(file), where, f"no picture {name!r}; expected {expected}")
+    named = folder / name if Path(name).suffix else file
+    require(os.path.isfile(file), where, f"no picture {name!r}; expected {named}")
     require(
         file.resolve().is_relative_to(folder.resolve()),
         where,

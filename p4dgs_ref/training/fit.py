@@ -111,8 +111,8 @@ def empty_pictures(scene):
 def odd_points(scene, preset, seed=0, points=None):
     """What to say where points that anchors start from merge, are not seen, or lie far off."""
     points = scene.points if points is None else points
-    rng = np.random.default_rng(seed)  # draws the points of a training with this seed
-    points = starting_points(points, preset.anchors, preset.extent, rng)
+    # a training with this seed draws the same
+    points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
     depth = np.zeros(len(points))  # the largest one at which a picture has the point
     for view in scene.train:
         c, rest = view.camera, np.flatnonzero(depth <= FAST.near)

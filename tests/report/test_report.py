@@ -128,6 +128,17 @@ def test_bytes_of_the_plain_gaussians(done):
     )
 
 
+def test_a_scene_over_another_background_than_the_file_is_told_of(done, recwarn):
+    model = p4.decode((done[0] / "bouncing.p4dgs").read_bytes())
+    black = p4.load_scene("bouncing", "black", downscale=4)
+    said = r"the file has the background \[1. 1. 1.\], scene dark \[0. 0. 0.\]; expected equal"
+    with pytest.warns(UserWarning, match=said):
+        p4.evaluate(model, replace(black, name="dark"))
+    opaque = [replace(view, alpha=None) for view in black.test]
+    p4.evaluate(model, replace(black, test=opaque))  # pictures that no background shows through
+    assert not recwarn.list
+
+
 def test_equal_images(tmp_path, recwarn):
     """A white scene and a threshold that keeps no Gaussian: the images are exact.
 
