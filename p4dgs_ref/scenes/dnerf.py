@@ -164,7 +164,7 @@ def read_transforms(file):
     )
     unknown = {*content}.union(*content["frames"]) - TRANSFORMS.keys() - FRAME.keys()
     if unknown:
-        warnings.warn(f"{file}: fields that are not known are not read: {sorted(unknown)}")
+        warnings.warn(f"{file}: fields that are not known are not read: {shown(sorted(unknown))}")
     return values
 
 

@@ -194,7 +194,7 @@ def read_vertices(path):
 
 def read_points3d_text(path):
     """The coordinates [A, 3] in COLMAP's points3D.txt."""
-    rows = np.loadtxt(path, usecols=range(8), ndmin=2)
+    rows = np.loadtxt(path, usecols=range(8), ndmin=2, encoding="utf-8-sig")
     counted, colors = rows[:, [0, 4, 5, 6]], rows[:, 4:7]
     require(
         np.all(counted % 1 == 0) and np.all(colors <= 255),

@@ -11,5 +11,6 @@ def refuse(words, call, *args, **kwargs):
         call(*args, **kwargs)
     message = str(caught.value)
     assert "\n" not in message and len(message) < 1500
+    assert ".png.png" not in message and ".jpg.png" not in message  # the suffix is added once
     assert [word for word in words if word not in message] == [], message
     return message

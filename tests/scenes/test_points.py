@@ -53,7 +53,7 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
     tracks = ("", " 1 2", " 3 4 5 6", "")
     lines = [f"7 {x!r} {y!r} {z!r} 9 9 9 0.5" for x, y, z in POINTS.tolist()]
     text = "# COLMAP\n" + "".join(line + track + "\n" for line, track in zip(lines, tracks))
-    (tmp_path / "points3D.txt").write_text(text)
+    (tmp_path / "points3D.txt").write_text(text, encoding="utf-8-sig", newline="\r\n")
     (tmp_path / "crlf.ply").write_bytes(LITTLE.replace("\n", "\r\n").encode() + binary("<"))
     np.save(tmp_path / "h.npy", POINTS.astype(np.float16))
     whole = dict.fromkeys(("n.npy", "points3D.txt", "points3D.bin"), np.float64)

@@ -358,8 +358,7 @@ def test_mistakes_in_a_transforms_file(folder, change, words):
     (folder / "linked").symlink_to(folder.parent)
     os.mkfifo(folder / "pipe.png")
     edit(folder, change)
-    message = refuse(("transforms_train.json", *words), load_scene, folder)
-    assert ".jpg.png" not in message
+    refuse(("transforms_train.json", *words), load_scene, folder)
 
 
 def test_pictures_inside_the_folder_by_any_way(folder):
