@@ -73,7 +73,7 @@ LENS = {
         "k1 k2 k3 k4 k5 k6 p1 p2 distortion_params is_fisheye fisheye_crop_radius "
         "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
         off,
-        expected="0 or no such field; other pictures must be undistorted first",
+        expected="0 or no such field; undistort the pictures of such a lens first",
     ),
     **optional("x_fov y_fov", off, expected="camera_angle_x in radians, or fl_x in pixels"),
     **optional("rolling_shutter", off, expected="pictures that were taken at one moment"),
@@ -182,7 +182,8 @@ def check_lens(lens, width, height, file):
         require(
             not angle or abs(found - angle) <= 0.01 * angle,
             f"{file}: camera_angle_{axis}",
-            f"{angle}; expected {found:.6g}, which fl_{axis} and {side:g} pixels give, or only one",
+            f"{angle}; expected {found:.6g}, by fl_{axis} and pictures of {side:g} pixels (w and h "
+            "say the size that fl_x and fl_y are for)",
         )
 
 

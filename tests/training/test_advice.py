@@ -103,11 +103,12 @@ def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
     assert not fit.lost(still)
 
 
-def test_training_warns_before_and_after():
+@pytest.mark.parametrize("work", [p4.train, p4.main_job])
+def test_training_warns_before_and_after(work, tmp_path):
     view, *others = moving().train
     blank = replace(view, image=np.ones_like(view.image))
     odd = replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
-    told = messages(p4.train, odd, "smoke", stage_ends=(1, 2, 3, 4))
+    told = messages(work, odd, "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
     words = ("training views", "1 of one colour", "8 sharing the voxel", "is lost")
     assert [word in line for word, line in zip(words, told, strict=True)] == [True] * 4
 
