@@ -1,7 +1,7 @@
 """The commands for ports: list and export the golden vectors, check a port with them."""
 
+import os
 from contextlib import nullcontext
-from pathlib import Path
 
 from ..lab.baselines import ALL_EQUATIONS
 from ..oracle import published
@@ -38,9 +38,11 @@ def port_of(arguments):
         "oracle check",
         "expected either a folder of a port's answers or --adapter CMD",
     )
-    if command:
+    if command is not None:
         return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
-    require(Path(folder).is_dir(), folder, "expected a folder of a port's answers")
+    require(
+        os.path.isdir(folder), folder or "oracle check", "expected a folder of a port's answers"
+    )
     require(
         not (arguments.dtype or arguments.timeout),
         "--dtype, --timeout",
@@ -52,11 +54,10 @@ def port_of(arguments):
 def check(arguments):
     """Judge the answers of a port; exit code 1 if a required case does not pass."""
     level, only = arguments.level, arguments.only
-    for option, names, known in (
-        ("--level", level, published.LEVELS),
-        ("--only", only, published.names()),
-    ):
+    for option, names in ("--level", level), ("--only", only):
         for name in names:
+            subject = name.rpartition("/")[0]
+            known = published.LEVELS if option == "--level" else published.names(subject)
             require(name in known, f"{option} {name}", published.meant(name, known))
     with port_of(arguments) as port:
         report = check_port(port, level, only, progress, arguments.strict)

@@ -143,7 +143,9 @@ ORACLE = {
                 help="precision of the numbers sent to the adapter (float64)",
             ),
             several("--level", "LEVEL", "only this level, L0 to L4; may be repeated"),
-            several("--only", "NAME", "only this equation, subject or group; may be repeated"),
+            several(
+                "--only", "NAME", "only this equation, subject, group or case; may be repeated"
+            ),
             switch("--strict", "demand all digits, also where the printed formula has fewer"),
         ),
     ),

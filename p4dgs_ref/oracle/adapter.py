@@ -1,12 +1,14 @@
 """Checks a port that runs as a process: lines of JSON go to its stdin and come from its stdout.
 
 PROTOCOL, version 1. Every line is one JSON object in UTF-8 and gets one line back. stdout carries
-nothing else. A port may log to stderr; its end is quoted when something goes wrong.
+nothing else: a second line is taken for the answer to the next request. A port may log to stderr;
+its end is quoted when something goes wrong.
 
     checker   {"p4dgs_oracle": 1, "dtype": "float64"}       first; dtype may be "float32"
     port      {"p4dgs_oracle": 1}
     checker   {"id": "offsets/ordinary", "subject": "offsets", "equation": "offsets",
-               "settings": {}, "in": {"x_a": ARRAY, ...}, "out_bar": {"x": ARRAY}}
+               "settings": {}, "differentiable": ["x_a", ...], "in": {"x_a": ARRAY, ...},
+               "out_bar": {"x": ARRAY}}
     port      {"id": "offsets/ordinary", "out": {"x": ARRAY}, "in_bar": {"x_a": ARRAY, ...}}
            or {"id": "offsets/ordinary", "skip": "why this port does not do it"}
            or {"id": "offsets/ordinary", "error": "what went wrong"}
@@ -14,7 +16,8 @@ nothing else. A port may log to stderr; its end is quoted when something goes wr
     port      {"id": "codec/full", "arrays": {"positions": ARRAY, ...}}
            or {"id": "codec/full", "refused": "why"}, or skip or error as above
 
-A port may say in its first line what it lacks. With "gradients": false its outputs alone are
+`differentiable` lists the inputs whose gradients are expected in `in_bar`; others are ignored. A
+port may say in its first line what it lacks. With "gradients": false its outputs alone are
 judged, and `in_bar` may be missing. With a list "subjects", such as ["offsets", "codec"], it is
 asked for these alone, and no other subject is required of it. The report says both.
 
@@ -85,6 +88,9 @@ class Adapter(contextlib.AbstractContextManager):
             "subject": case.subject,
             "equation": case.equation,
             "settings": case.record["settings"],
+            "differentiable": [
+                name.removeprefix("in_bar.") for name in case.tensors if name.startswith("in_bar.")
+            ],
             "in": self._packed(case, "in."),
             "out_bar": self._packed(case, "out_bar."),
         }
@@ -105,6 +111,15 @@ class Adapter(contextlib.AbstractContextManager):
         if answer.get("refused") is not None:
             return None, _short(answer["refused"])
         return unpacked(answer, "arrays"), None
+
+    def rest(self):
+        """End the process; return what it wrote to stdout after its last answer, at most its start.
+
+        Everything before that was read as the answer to some request.
+        """
+        child = self.child
+        self.close()
+        return _short(repr(bytes(child.unread))[1:]) if child and child.unread else ""
 
     def __exit__(self, *_):
         self.close()
@@ -140,7 +155,13 @@ class Adapter(contextlib.AbstractContextManager):
                 self.says = self._exchange(
                     {"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle"
                 )
-                self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
+                gradients = self.says.get("gradients", True)
+                require(
+                    isinstance(gradients, bool),
+                    "gradients",
+                    f"expected true or false, got {json.dumps(gradients)}",
+                )
+                self.asked = ROLES if gradients else ROLES[:1]
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
                 require(
                     isinstance(listed, list) and all(name in known for name in listed),
@@ -174,7 +195,11 @@ class Adapter(contextlib.AbstractContextManager):
             f"expected a line with a JSON object, got {_short(repr(line[:QUOTE_LENGTH])[1:])}",
         )
         want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
-        require(got == want, "answer", f"expected {field} {want}, got {got}")
+        require(
+            got == want,
+            "answer",
+            f"expected {field} {want}, got {got}; every request gets one line",
+        )
         return answer
 
 
@@ -197,6 +222,7 @@ class Child:
             None, (self.process.stdin, self.process.stdout, self.process.stderr)
         )
         self.words = b""  # the end of stderr
+        self.unread = bytearray()  # what has come from stdout after the last answer
         self.listener = threading.Thread(target=self._listen, args=[stderr], daemon=True)
         self.listener.start()
 
@@ -205,50 +231,59 @@ class Child:
             self.words = (self.words + part)[-4 * QUOTE_LENGTH :]
 
     def exchange(self, request, seconds):
-        """Send a line and return the line that answers it.
+        """Send a line and return the next line that the process writes.
 
+        Where it wrote more than one line before, that is one of those, however late it comes.
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
-        deadline, unsent, line = time.monotonic() + seconds, memoryview(request), bytearray()
-        while unsent or not line.endswith(b"\n"):
+        deadline, unsent = time.monotonic() + seconds, memoryview(request)
+        has_line = b"\n" in self.unread
+        while unsent or not has_line:
             left = max(deadline - time.monotonic(), 0)
             asked = [self.stdin] if unsent else []
             readable, writable, _ = select.select([self.stdout], asked, [], left)
             if not left or not (readable or writable):
                 late = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
-                raise self._failure(line, PortError("hung", late))
+                raise self._failure(PortError("hung", late))
             if writable:
                 with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up
                     unsent = unsent[self.stdin.write(unsent[: select.PIPE_BUF]) :]
             if readable:
                 part = self.stdout.read(2**16)
                 if not part:
-                    raise self._failure(line, PortError("died", "the process closed its pipes"))
-                line += part
+                    raise self._failure(PortError("died", "the process closed its pipes"))
+                self.unread += part
+                has_line = has_line or b"\n" in part
                 require(
-                    len(line) <= MAX_ANSWER_BYTES,
+                    len(self.unread) <= MAX_ANSWER_BYTES,
                     "answer",
                     f"expected a line of at most {MAX_ANSWER_BYTES:,} bytes, got more",
                 )
+        line, _, self.unread = self.unread.partition(b"\n")
         return bytes(line)
 
-    def _failure(self, line, running):
+    def _failure(self, running):
         """Return the PortError of a process that has ended, or `running` where it still runs."""
         try:
             code = self.process.wait(0.5)
         except subprocess.TimeoutExpired:
             return running
         how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        middle = ", in the middle of a line" if line else ""
+        middle = ", in the middle of a line" if self.unread else ""
         return PortError("died", f"the process ended without an answer: {how}{middle}")
 
     def end(self, grace):
-        """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
+        """Close stdin, wait `grace` seconds, kill the group; return the end of stderr.
+
+        What the process had still written to stdout is then in `unread`, at most its start.
+        """
         with self.process:  # closes the pipes
             try:
                 self.stdin.close()
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self.process.wait(grace)
+                if select.select([self.stdout], [], [], 0)[0]:
+                    self.unread += self.stdout.read(select.PIPE_BUF)
             finally:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import doctor, published
-from .compare import RECIPES, Result, as_printed, compare, expected, precision
+from .compare import RECIPES, Finding, Result, as_printed, compare, expected, precision
 from .ports import ROLES, FunctionPort, PortError
 from .published import GROUPS, LEVELS
 from .report import text
@@ -17,6 +17,8 @@ class Report(NamedTuple):
 
     results: list
     says: dict = {}  # the first line of a port that runs as a process
+    dtype: str | None = None  # in which that port was asked; otherwise each tensor has its own
+    strict: bool = False
 
     @property
     def ok(self):
@@ -57,28 +59,42 @@ def check(forward, key, vjp=None, strict=False):
     are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
     is no better. Raises KeyError where `key` is no subject.
     """
-    return Report(check_subject(published.cases(key), FunctionPort(forward, vjp), strict))
+    results = check_subject(published.cases(key), FunctionPort(forward, vjp), strict)
+    return Report(results, strict=strict)
 
 
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects, equations or groups) choose cases; empty, all. `strict` is that
-    of `check`.
+    `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; empty, all.
+    `strict` is that of `check`.
     """
     only, results = {only} if isinstance(only, str) else set(only), []
     for level in (level for level in LEVELS if not levels or level in levels):
-        if level == "L3" and (not only or "codec" in only):
+        chosen = [row["name"] for row in _chosen(published.stream_rows(), {"codec"}, only)]
+        if level == "L3" and chosen:
             from . import streams  # loads the codec
 
             progress("codec")
-            results += streams.check(port)
+            results += streams.check(port, chosen)
         for subject in published.subjects().values():
             names = {subject["key"], subject["equation"], subject.get("group")}
-            if subject["level"] == level and (not only or names & only):
+            chosen = {row["id"] for row in _chosen(subject["cases"], names, only)}
+            if subject["level"] == level and chosen:
                 progress(subject["key"])
-                results += check_subject(published.read(subject), port, strict)
-    return Report(_shared(results), getattr(port, "says", {}))
+                cases = [case for case in published.read(subject) if case.id in chosen]
+                results += check_subject(cases, port, strict)
+    rest = port.rest() if results and hasattr(port, "rest") else ""
+    if rest:
+        says = f"expected nothing after the last answer, got {rest}"
+        results[-1] = results[-1]._replace(verdict="nonsense", required=True, explanation=says)
+    dtype = getattr(port, "dtype", None)
+    return Report(_shared(results), getattr(port, "says", {}), dtype and dtype.name, strict)
+
+
+def _chosen(rows, names, only):
+    """Return the rows of a subject that a selection means: all, or those whose ids it has."""
+    return rows if not only or names & only else [row for row in rows if row["id"] in only]
 
 
 def check_subject(cases, port, strict=False):
@@ -118,11 +134,24 @@ def judge(case, port, strict=False):
             explanation=str(error),
             group=case.group,
         ), None
-    return judge_answer(case, got, getattr(port, "asked", ROLES), strict), got
+    result = judge_answer(case, got, getattr(port, "asked", ROLES), strict)
+    dtype = getattr(port, "dtype", None)
+    others = [
+        Finding(name, "dtype", f"{a.dtype}, expected {dtype} as the checker's first line says")
+        for name, a in got.items()
+        if dtype and a.dtype.kind == "f" and a.dtype != dtype
+    ]
+    if others:
+        is_valid = case.record["result"] == "valid"
+        verdict = "fail" if is_valid else "acceptable"
+        result = result._replace(verdict=verdict, required=is_valid, findings=(*others,), recipe="")
+    return result, got
 
 
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
+    extra = {name for name in got if name.startswith("in_bar.")} - case.tensors.keys()
+    got = {name: a for name, a in got.items() if name not in extra}
     is_valid, unasked = case.record["result"] == "valid", case.unasked(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.
     some = case.group == "inside" and expected(case.tensors).keys() & got.keys()
@@ -151,6 +180,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         unasked=(*unasked, *sorted(vague)),
         recipe=RECIPES[case.subject] if is_valid and findings and not mistaken else "",
         group=case.group,
+        extra=tuple(sorted(extra)),
     )
 
 

@@ -66,6 +66,7 @@ class Result(NamedTuple):
     unasked: tuple = ()  # names of tensors that are not judged, because wrong ones would pass too
     recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
     group: str = ""  # of subjects that a port may leave out
+    extra: tuple = ()  # names of gradients that the case does not expect, which are ignored
 
     @property
     def subject(self):

@@ -10,7 +10,7 @@ import numpy as np
 from ..limits import MAX_ANSWER_BYTES, cut
 from . import safetensors
 from .compare import expected, precision
-from .published import FOLDER, flatten, meant, read_manifest, subjects
+from .published import FOLDER, flatten, meant, stream_rows, subjects
 from .safetensors import require
 
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
@@ -45,7 +45,7 @@ class FolderPort:
         """Raises TensorError where a file bears no subject's name, or is one of the vectors."""
         self.folder = Path(folder)
         self.loaded = {}  # subject -> (arrays, file)
-        streams = [row["name"] for row in read_manifest()["streams"]]
+        streams = [row["name"] for row in stream_rows()]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
                 require(file.stem in known, f"{file}: name", meant(file.stem, known))

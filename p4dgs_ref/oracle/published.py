@@ -77,9 +77,19 @@ def subjects():
     return {subject["key"]: subject for subject in read_manifest()["subjects"]}
 
 
-def names():
-    """Return all names that `oracle check --only` accepts: subjects, groups, and the codec."""
-    return sorted([*subjects(), *GROUPS, "codec"])
+@cache
+def stream_rows():
+    """Return the records of the conformance streams in the manifest."""
+    return read_manifest()["streams"]
+
+
+def names(of=""):
+    """Return the names that `oracle check --only` accepts: subjects, groups, and the codec.
+
+    With one of the subjects, or with "codec", the ids of its cases.
+    """
+    cases = {"codec": stream_rows(), **{key: row["cases"] for key, row in subjects().items()}}
+    return [row["id"] for row in cases[of]] if of in cases else sorted([*cases, *GROUPS])
 
 
 def meant(name, known):

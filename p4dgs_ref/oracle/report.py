@@ -3,7 +3,8 @@
 import json
 from collections import Counter
 
-from .published import subjects
+from .. import __version__
+from .published import read_manifest, subjects
 
 MAX_LISTED = 8  # failing cases of a subject, wrong tensors of a case
 RECIPE_HEAD = "right formula, fewer digits here; the recipe is"
@@ -19,7 +20,7 @@ def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
     return "\n".join(
         line
-        for section in (scores, lacking, left_out, unasked, acceptable, divergence)
+        for section in (scores, lacking, left_out, unasked, ignored, acceptable, divergence)
         for line in section(report)
     )
 
@@ -58,6 +59,14 @@ def unasked(report):
     others = f" and {tensors} tensors of other cases" * bool(tensors)
     line = f"{cases} cases{others} are not judged here: a wrong answer would pass too"
     return [line] * bool(cases or tensors)
+
+
+def ignored(report):
+    """Return a line that names every gradient that was answered although no case expects it."""
+    rows = [f"{r.subject} {n.split('.')[1]}" for r in report.results for n in r.extra]
+    return [f"gradients that are not expected, ignored: {', '.join(dict.fromkeys(rows))}"] * bool(
+        rows
+    )
 
 
 def acceptable(report):
@@ -147,6 +156,7 @@ def as_json(report):
             "hint": r.hint or None,
             "recipe": r.recipe or None,
             "unasked": list(r.unasked),
+            "extra": list(r.extra),
         }
         for r in report.results
     ]
@@ -154,6 +164,9 @@ def as_json(report):
         "ok": report.ok,
         "levels": report.levels(),
         "cases": cases,
+        "versions": {"p4dgs_ref": __version__, "vectors": read_manifest()["version"]},
+        "dtype": report.dtype,
+        "strict": report.strict,
         "first_divergence": report.first.equation if report.first else None,
         "gradients": report.says.get("gradients") is not False,
         "lacking": list(dict.fromkeys(r.subject for r in report.results if r.verdict == "absent")),

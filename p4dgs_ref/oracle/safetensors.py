@@ -70,7 +70,11 @@ def load(data):
         f"expected a length of at most {MAX_ANSWER_HEADER_BYTES} bytes, got {length}",
     )
     header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
-    require(header is not None, "header", "expected its length in 8 bytes and a JSON object")
+    require(
+        header is not None and 8 + length <= len(data),
+        "header",
+        "expected its length in 8 bytes and a JSON object",
+    )
     header.pop("__metadata__", None)
     for name, record in header.items():
         offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None

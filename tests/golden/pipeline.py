@@ -438,7 +438,6 @@ SUBJECTS = (
         (),
         frames_vjp,
         frames_cases,
-        CONSTANTS,
     ),
     Subject(
         "trace_steps",

@@ -12,7 +12,7 @@ from p4dgs_ref.scenes.dnerf import make_camera
 from p4dgs_ref.splatting import covariance
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import Case
-from tests.golden.subjects import Subject, no_pullback
+from tests.golden.subjects import CONSTANTS, Subject, no_pullback
 
 
 def identity(y):
@@ -285,6 +285,7 @@ SUBJECTS = (
         ("y",),
         of_feature("rotation"),
         unit_cases,
+        CONSTANTS["rotation"],
     ),
     Subject(
         "waves",
@@ -345,5 +346,6 @@ SUBJECTS = (
         ("x",),
         pixel_vjp,
         pixel_cases,
+        {"near": CONSTANTS["projection"]["near"]},
     ),
 )

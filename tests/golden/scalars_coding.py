@@ -8,10 +8,9 @@ from p4dgs_ref.equations.grid_nodes import entries, nodes
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import Case
 from tests.golden.scalars import identity
-from tests.golden.subjects import Subject, no_pullback
+from tests.golden.subjects import CONSTANTS, Subject, no_pullback
 
 PHI_0 = 1 / math.sqrt(2 * math.pi)
-CONSTANTS = {"PHI_0": PHI_0}
 
 
 # --- the hash grid ------------------------------------------------------------------------------
@@ -297,7 +296,6 @@ SUBJECTS = (
         (),
         cell_vjp,
         cell_cases,
-        CONSTANTS,
     ),
     Subject(
         "hash_index",
@@ -309,7 +307,6 @@ SUBJECTS = (
         (),
         row_vjp,
         row_cases,
-        CONSTANTS,
     ),
     Subject(
         "step_floor",
@@ -321,7 +318,7 @@ SUBJECTS = (
         ("u",),
         step_vjp,
         step_cases,
-        CONSTANTS,
+        CONSTANTS["step"],
     ),
     Subject(
         "sigma_clamp",
@@ -333,7 +330,7 @@ SUBJECTS = (
         ("raw",),
         sigma_vjp,
         sigma_cases,
-        CONSTANTS,
+        CONSTANTS["prior"],
     ),
     Subject(
         "rounding_ties",
@@ -345,7 +342,7 @@ SUBJECTS = (
         (),
         EQUATIONS["rounding"].vjp,
         ties_cases,
-        {"LIMIT": 2147483648.0},
+        CONSTANTS["rounding"],
     ),
     Subject(
         "gaussian_bin",
@@ -357,6 +354,6 @@ SUBJECTS = (
         (),
         bin_vjp,
         bin_cases,
-        CONSTANTS,
+        {"PHI_0": PHI_0},
     ),
 )

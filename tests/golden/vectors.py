@@ -31,7 +31,7 @@ from tests.golden.subjects import lacking, subjects
 
 # What the manifest calls its drafts: the first one, and the one in which new cases are listed.
 FIRST, LATEST = "1.0", "1.2"
-# Everything else in the folder of the vectors is made here.
+# Everything else in the folder of the vectors is made here. The manifest has the hashes of all.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
 IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
 # Cases in which another answer is defensible, and which answers are: they may lie `within` a
@@ -203,6 +203,8 @@ def build(progress=lambda text: None, keep=False, again=(), renew=False):
         data, row = subject_file(subject, kept, renew)
         files[row["file"]] = data
         rows.append(row)
+    files["FLAGS.json"] = _json(flags())
+    written = {name: (FOLDER / name).read_bytes() for name in WRITTEN}
     manifest = {
         "format": 1,
         "version": f"v{LATEST}",
@@ -212,7 +214,7 @@ def build(progress=lambda text: None, keep=False, again=(), renew=False):
             "numpy": np.__version__,
             "scipy": scipy.__version__,
         },
-        "files": {name: _sum(data) for name, data in files.items()},
+        "files": {name: _sum(data) for name, data in {**files, **written}.items()},
         "subjects": rows,
         "streams": stream_records(),
     }
@@ -267,7 +269,6 @@ def write(folder, progress=lambda text: None, keep=False, again=(), renew=False)
     """Write the vectors into an existing folder; return the manifest. See `build`."""
     files, manifest = build(progress, keep, again, renew)
     files["manifest.json"] = _json(manifest)
-    files["FLAGS.json"] = _json(flags())
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
     return manifest

@@ -189,9 +189,8 @@ def test_what_a_port_is_sent(port, tmp_path):
         "equation": "some_equation",
         "settings": {"near": 0.2, "axes": "xy"},
     }
-    assert set(request["in"]) == {"x", "weights.0", "mask", "index"} and set(
-        request["out_bar"]
-    ) == {"y"}
+    assert set(request["in"]) == {"x", "weights.0", "mask", "index"}
+    assert set(request["out_bar"]) == {"y"} and request["differentiable"] == ["x"]
     sent = np.array([1.5, -2.0, np.inf], "<f4").tobytes()
     assert request["in"]["x"] == {
         "dtype": "F32",
@@ -259,10 +258,40 @@ SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\
         ("if n == 0: answer = {'p4dgs_oracle': 2}", "expected p4dgs_oracle 1, got 2"),
         ("if n == 0: answer['subjects'] = ['ofsets']", "subjects: expected a list of some of tanh"),
         ("if n == 0: answer['subjects'] = 'offsets'", "subjects: expected a list"),
+        ("answer['gradients'] = 'false'", 'gradients: expected true or false, got "false"'),
+        ("if n: send(json.dumps(answer, indent=1) + '\\n'); continue", "object, got '{'"),
     ],
 )
 def test_a_log_or_another_version_is_named(port, twist, words):
     assert words in failure(port(twist))[1]
+
+
+TWICE = [
+    "if n: send(2 * (json.dumps(answer) + '\\n')); continue",
+    "if n: send(json.dumps(answer) + '\\n')",
+    "if n: send(json.dumps(answer) + '\\n'); time.sleep(0.05)",
+]
+
+
+@pytest.mark.parametrize("twist", TWICE)
+def test_a_second_line_is_the_answer_to_the_next_request(port, twist):
+    """However soon it comes. Behind the last answer it is found when the process ends."""
+    ask = port(twist)
+    assert verdicts(ask) == ["ok", "nonsense"] * 2 + ["ok"]
+    assert ask.rest().startswith('\'{"id": "identity/4"') and ask.rest() == ""
+
+
+SKIPS = """
+for text in sys.stdin:
+    id = json.loads(text).get('id')
+    answer = {'id': id, 'skip': 'not written'} if id else {'p4dgs_oracle': 1}
+    send(json.dumps(answer) + '\\n' + 'goodbye' * bool(id))
+"""
+
+
+def test_what_follows_the_last_answer_fails_the_last_case(port):
+    (result,) = checker.check_port(port(start=SKIPS), only="plane_losses/by_hand").results
+    assert result.wrong and result.verdict == "nonsense" and "'goodbye'" in result.explanation
 
 
 def test_floods_are_bounded(port, monkeypatch):

@@ -5,10 +5,12 @@ Also the commands, and what they export.
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import p4dgs_ref
 from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, report, safetensors
@@ -139,6 +141,18 @@ def test_a_misspelt_case_or_subject_is_refused(tmp_path):
             FolderPort(folder)
 
 
+@pytest.mark.parametrize("asked, answered", [("float64", "float32"), ("float32", "float64")])
+def test_a_process_answers_in_the_precision_that_it_was_asked_for(asked, answered):
+    def run(case):
+        right = expected(case.tensors)
+        return right | {"in_bar.l_a": right["in_bar.l_a"].astype(answered)}
+
+    port = SimpleNamespace(run=run, dtype=np.dtype(asked))
+    report = checker.check_port(port, only="offsets/by_hand")
+    says = f"in_bar.l_a: dtype: {answered}, expected {asked} as the checker's first line says"
+    assert not report.ok and says in str(report), str(report)
+
+
 def test_nothing_checked_is_not_success():
     assert not checker.Report([]).ok and "no required case" in str(checker.Report([]))
 
@@ -194,6 +208,8 @@ def test_json_report_keeps_the_contract(tmp_path):
     value = json.loads(json.dumps(value, allow_nan=False))
     assert value["first_divergence"] == "offsets"
     assert set(value) >= {"levels", "cases", "first_divergence"}
+    versions = {"p4dgs_ref": p4dgs_ref.__version__, "vectors": "v1.2"}
+    assert {"versions": versions, "dtype": None, "strict": False}.items() <= value.items()
     for case in value["cases"]:
         assert set(case) >= {"id", "equation", "verdict", "worst", "explanation"}
     assert report.as_json(checker.Report([]))["first_divergence"] is None
@@ -205,7 +221,14 @@ def test_a_python_function_is_judged():
     def lists(**inputs):  # whatever np.asarray reads
         return {"x": eq(**inputs)["x"].tolist()}
 
-    assert oracle.check(eq, "offsets", lambda i, c: eq.vjp(**i)[1](**c)).ok
+    def backward(inputs, cotangents):
+        return eq.vjp(**inputs)[1](**cotangents)
+
+    assert oracle.check(eq, "offsets", backward).ok
+    more = oracle.check(eq, "offsets", lambda i, c: backward(i, c) | {"h": np.ones(2)}, strict=True)
+    assert more.ok and str(more).count("gradients that are not expected, ignored: offsets h\n") == 1
+    assert report.as_json(more)["cases"][0]["extra"] == ["in_bar.h"]
+    assert report.as_json(more)["strict"]
     assert oracle.check(lambda **inputs: eq(**inputs)["x"], "offsets").ok
     assert oracle.check(lists, "offsets").ok
     assert not oracle.check(lambda x_a, O_a, l_a: x_a[:, None] - O_a * l_a[:, None], "offsets").ok
@@ -266,6 +289,9 @@ def test_commands(answered, capsys):
     assert code == 0 and "likelihood/tail" in out and "codec/" in out
     code, out, _ = run(capsys, "check", str(answered), "--only", "offsets")
     assert code == 0 and "every required case passes" in out
+    chosen = ["--only", "offsets/by_hand", "--only", "view/far"]
+    code, out, _ = run(capsys, "check", str(answered), *chosen, "--json")
+    assert code == 0 and [case["id"] for case in json.loads(out)["cases"]] == chosen[3:0:-2]
     code, out, _ = run(capsys, "check", str(answered), "--only", "tanh", "--json")
     assert code == 1 and json.loads(out)["first_divergence"] == "opacity"
 
@@ -289,6 +315,9 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
         (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'?"),
+        (["check", ".", "--only", "view/fa"], "--only view/fa: did you mean 'view/far'?"),
+        (["check", "", "--only", "view"], "oracle check: expected a folder"),
+        (["check", "--adapter", ""], "adapter '': expected a command"),
         (["check", ".", "--level", "L5"], "--level L5: expected one of L0, L1, L2, L3, L4"),
     ],
 )

@@ -201,6 +201,7 @@ def test_page_says_what_the_files_have():
     rows += [of for case in cases for of in case["tolerance"].values() if isinstance(of, dict)]
     keys = {key for row in rows for key in row}
     assert not sorted(key for key in keys if not re.search(rf"[`\"]{key}[`\"]", PAGE))
+    assert f'"{manifest["version"]}"' in PAGE
     for words in ("result", "provenance"):
         assert {case[words] for case in cases} <= set(re.findall(r"`([a-z -]+)`", PAGE))
     dtypes = {t["dtype"] for case in cases for t in case["tensors"]}
@@ -358,6 +359,6 @@ for line in sys.stdin:
     lines = heard.read_text(encoding="utf-8").splitlines()
     assert lines[0] in PAGE and all(json.dumps(json.loads(line)) == line for line in lines)
     assert {tuple(json.loads(line)) for line in lines[1:]} == {
-        ("id", "subject", "equation", "settings", "in", "out_bar"),
+        ("id", "subject", "equation", "settings", "differentiable", "in", "out_bar"),
         ("id", "stream"),
     }
