@@ -10,7 +10,9 @@ answer agrees.
 
 A mistake explains wrong answers if it agrees with all of them and shows in no tensor that the port
 gets right. One that agrees with most of the failing cases is a hint. Weaker evidence is not
-mentioned, because a wrong diagnosis costs more time than none.
+mentioned, because a wrong diagnosis costs more time than none: a mistake in the outputs is not
+offered for gradients alone, and gradients say nothing where the outputs are wrong for an unknown
+reason.
 """
 
 import gzip
@@ -28,7 +30,7 @@ FOLDER = Path(__file__).with_name("mistakes_v1")
 LENIENCE = 4  # factor on the bounds: a port may compute the same mistake in another way
 NEARNESS = 64  # times nearer to the mistake's answer than to the right one
 NAN_VALUE = np.finfo(np.float32).max  # a very large number, which stands for NaN
-MIN_HINT_SHARE = 0.6  # of the failing cases agree with a hint
+MIN_HINT_SHARE, MIN_HINT_CASES = 0.6, 3  # of the failing cases agree with a hint
 ROLES = {"outputs": "out", "gradients": "in_bar"}
 # Mistakes that need no stored answers: the right values times a factor.
 FACTORS = {0: "is zero", -1: "has the wrong sign", 2: "is doubled", 0.5: "is halved"}
@@ -82,7 +84,7 @@ def diagnose(subject, answers):
     `answers` lists (published case, {name: array}, names of the wrong tensors) of one subject, the
     right answers too. Several mistakes may explain the same answers; then all are returned. A port
     that was written by hand often has a mistake in one direction only. Where no mistake explains
-    all answers, the outputs and the gradients are explained by themselves.
+    all answers, the outputs are explained by themselves, and then the gradients.
     """
     # A tensor that is missing or extra neither agrees with a mistake nor contradicts it.
     answers = [
@@ -90,20 +92,24 @@ def diagnose(subject, answers):
         for case, got, wrong in answers
     ]
     mistakes = known(subject) + _scaled(answers)
-    whole = explain(mistakes, answers)
-    parts = {part: _of(answers, role) for part, role in ROLES.items()}
-    parts = [
-        explain(mistakes, rows, part)
-        for part, rows in parts.items()
-        if any(wrong for *_, wrong in rows)
+    rows = explain(mistakes, answers)
+    outputs, gradients = (_of(answers, role) for role in ROLES.values())
+    of_outputs = _best(explain(mistakes, outputs, "outputs"))
+    backward = [mistake for mistake in mistakes if not _changes_outputs(mistake)]
+    of_gradients = _best(explain(backward, gradients, "gradients"))
+    explained = _best(rows)
+    if not any(wrong for *_, wrong in gradients):  # a mistake in the outputs alone fits as well
+        explained += of_outputs
+    elif not explained and of_outputs and of_gradients:
+        explained = of_outputs + of_gradients
+    if explained:
+        return _distinct(explained)
+    hints = [
+        row
+        for row in sorted(rows, key=lambda row: len(row.cases), reverse=True)
+        if len(row.cases) >= max(MIN_HINT_CASES, MIN_HINT_SHARE * row.failed)
     ]
-    of_parts = [row for rows in parts for row in _best(rows)]
-    explained = _best(whole) or (of_parts if all(map(_best, parts)) else [])
-    if explained:  # where one part is wrong, a mistake in this direction alone fits as well
-        return _distinct(explained + (of_parts if len(parts) == 1 else []))
-    hints = [row for row in whole if len(row.cases) >= MIN_HINT_SHARE * row.failed]
-    hints.sort(key=lambda row: len(row.cases), reverse=True)
-    return [row._replace(certain=False) for row in _distinct(hints + of_parts)]
+    return [row._replace(certain=False) for row in _distinct(hints + of_outputs)]
 
 
 def explain(mistakes, answers, part=""):
@@ -125,6 +131,11 @@ def explain(mistakes, answers, part=""):
         if any(id.partition("/")[2] not in row.mistake.noisy for id in row.cases)
         and all(_agrees(row.mistake, *r) for r in right)
     ]
+
+
+def _changes_outputs(mistake):
+    """Whether a mistake shows in outputs; then it does not explain gradients alone."""
+    return any(name.startswith("out.") for tensors in mistake.answers.values() for name in tensors)
 
 
 def _best(rows):

@@ -11,10 +11,10 @@ import pytest
 from scipy.special import erf
 
 from p4dgs_ref import oracle
-from p4dgs_ref.oracle import checker, doctor, published
+from p4dgs_ref.oracle import checker, doctor, published, tolerance
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
-from tests.golden import printed
+from tests.golden import checks, printed
 from tests.golden.kill_matrix import laboratory
 from tests.golden.mutate import applied, mutations
 from tests.oracle.answers import in_precision
@@ -84,6 +84,36 @@ def test_lost_digits_are_not_a_mistake(key, dtype):
         return {name: a.reshape(case.tensors[name].shape) for name, a in got.items()}
 
     assert told(key, answer, dtype) == []
+
+
+def told_of(key, changes):
+    """The diagnoses of a port that is the equation's own file with some of its text replaced."""
+    wrong = checks.edited(key, changes)
+    return told(key, lambda case: tolerance.answer_of(wrong)(case.inputs(), case.cotangents()))
+
+
+@pytest.mark.parametrize(
+    "key, changes, ids",
+    [
+        (
+            "step",
+            {"np.where(share > SMALLEST, ": "(", "psi_q), 0)": "psi_q))"},
+            ["step-floor-gradient"],
+        ),
+        ("sh_color", {"* (raw >= 0)": ""}, ["sh-color-clamp-gradient"]),
+        # The step is halved, and its slope with it.
+        ("step", {"= 2 * sigmoid(": "= sigmoid(", "4 * Q_0": "2 * Q_0"}, []),
+    ],
+)
+def test_a_mistake_is_not_offered_where_its_outputs_are_not_the_ports(key, changes, ids):
+    assert [row.mistake.id for row in told_of(key, changes)] == ids
+
+
+def test_an_inverted_mask_is_not_an_ignored_one():
+    """Although both cost the same where everything is masked, or infinite: in 2 of 3 cases."""
+    eq = EQUATIONS["anchor_rate"]
+    results = oracle.check(lambda mask, **bits: eq(mask=~mask, **bits), "anchor_rate").results
+    assert sum(r.wrong for r in results) == 3 and not any(r.hint or r.explanation for r in results)
 
 
 # --- ports with mistakes, written without the definitions of `tests/golden/mistakes` -------------

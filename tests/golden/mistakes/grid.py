@@ -128,7 +128,7 @@ HASH_GRID = [
     edited(
         "hash_grid",
         "hash-grid-never-dense",
-        "levels that would fit their table are hashed as well",
+        "levels that fit their table are hashed as well, or those that fill it exactly (< for <=)",
         {"if res**D <= table:": "if False:"},
         helper=NODES,
     ),
