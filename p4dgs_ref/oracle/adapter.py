@@ -95,11 +95,15 @@ class Adapter(contextlib.AbstractContextManager):
             "out_bar": self._packed(case, "out_bar."),
         }
         answer = self._ask(request, case.subject)
-        return {
+        got = {
             f"{role}{name}": a
             for role in self.asked
             for name, a in unpacked(answer, role.strip(".")).items()
         }
+        for name, a in got.items():
+            is_asked = a.dtype.kind != "f" or a.dtype == self.dtype
+            require(is_asked, name, f"expected {self.dtype} as in the first line, got {a.dtype}")
+        return got
 
     def decode(self, name, data):
         """Return the arrays that the port finds in a file and None, or None and its refusal.

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import doctor, published
-from .compare import RECIPES, Finding, Result, as_printed, compare, expected, precision
+from . import doctor, published, rooms
+from .compare import RECIPES, Result, as_printed, compare, expected, precision
 from .ports import ROLES, FunctionPort, PortError
 from .published import GROUPS, LEVELS
 from .report import text
@@ -89,7 +89,12 @@ def check_port(port, levels=(), only=(), progress=lambda text: None, strict=Fals
         says = f"expected nothing after the last answer, got {rest}"
         results[-1] = results[-1]._replace(verdict="nonsense", required=True, explanation=says)
     dtype = getattr(port, "dtype", None)
-    return Report(_shared(results), getattr(port, "says", {}), dtype and dtype.name, strict)
+    return Report(
+        _shared(rooms.refined(results)),
+        getattr(port, "says", {}),
+        dtype and np.dtype(dtype).name,
+        strict,
+    )
 
 
 def _chosen(rows, names, only):
@@ -134,18 +139,7 @@ def judge(case, port, strict=False):
             explanation=str(error),
             group=case.group,
         ), None
-    result = judge_answer(case, got, getattr(port, "asked", ROLES), strict)
-    dtype = getattr(port, "dtype", None)
-    others = [
-        Finding(name, "dtype", f"{a.dtype}, expected {dtype} as the checker's first line says")
-        for name, a in got.items()
-        if dtype and a.dtype.kind == "f" and a.dtype != dtype
-    ]
-    if others:
-        is_valid = case.record["result"] == "valid"
-        verdict = "fail" if is_valid else "acceptable"
-        result = result._replace(verdict=verdict, required=is_valid, findings=(*others,), recipe="")
-    return result, got
+    return judge_answer(case, got, getattr(port, "asked", ROLES), strict), got
 
 
 def judge_answer(case, got, roles=ROLES, strict=False):
@@ -172,7 +166,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     return Result(
         case.id,
-        case.equation,
+        rooms.blamed(case, mistaken or findings),
         case.level,
         verdict,
         required=bool(names) and (is_valid or verdict == "fail"),
@@ -214,25 +208,31 @@ def evidence(case, got, result):
 
 
 def explained(result, diagnoses):
-    """Return a result with what the diagnoses say of its case: an explanation or a hint."""
+    """Return a result with what the diagnoses say of its case: an explanation or a hint.
+
+    A known mistake also says what is to blame.
+    """
     rows = [row for row in diagnoses if result.id in row.cases]
-    field = "explanation" if rows and rows[0].certain else "hint"
-    return result._replace(**{field: " or ".join(map(str, rows))})
+    is_certain = bool(rows) and rows[0].certain
+    blamed = rows[0].mistake.equation if is_certain and rows[0].mistake.id else result.equation
+    field = "explanation" if is_certain else "hint"
+    return result._replace(**{field: " or ".join(map(str, rows)), "equation": blamed})
 
 
 def _shared(results):
     """Reuse an equation's explanation for failures without a diagnosis.
 
     It comes from the cases of another subject; where the doctor was silent about a case of the same
-    subject, that case contradicts it.
+    subject, that case contradicts it. The subjects of a training share theirs.
     """
-    sources = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-    return [_with_explanation_of(sources.get(r.equation, r), r) for r in results]
+    sources = {rooms.shared_by(r): r for r in reversed(results) if r.findings and r.explanation}
+    return [_with_explanation_of(sources.get(rooms.shared_by(r), r), r) for r in results]
 
 
 def _with_explanation_of(source, result):
     """Return a result, with the explanation of another subject's where it failed without one."""
     has_none = not (result.explanation or result.hint or result.recipe)
     if result.findings and has_none and result.subject != source.subject:
-        return result._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        says = f"{source.explanation} (seen in {source.id})"
+        return result._replace(explanation=says, equation=source.equation)
     return result

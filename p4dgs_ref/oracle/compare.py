@@ -47,6 +47,7 @@ class Finding(NamedTuple):
     relative: float | None = None
     scaled: float | None = None  # |got - want| / (eps S)
     bound: float | None = None  # the largest `scaled` that is allowed
+    first: tuple = ()  # index of the first wrong element
 
 
 class Result(NamedTuple):
@@ -261,6 +262,7 @@ def _float_difference(name, mine, right, scale, tolerance):
         float(absolute[worst] / abs(right[worst])),
         largest,
         float(bound),
+        tuple(np.argwhere(scaled > bound)[:1].ravel().tolist()),
     )
 
 

@@ -48,10 +48,10 @@ class Port:
     """A port in one precision, `compute(case, dtype)`, perhaps with a change of its answers."""
 
     def __init__(self, compute=ours, dtype=np.float64, change=lambda case, got: got):
-        self.compute, self.precision, self.change = compute, dtype, change
+        self.compute, self.dtype, self.change = compute, dtype, change
 
     def run(self, case):
-        if case.tolerance(np.dtype(self.precision).name) is None:
-            return {"out.unasked": np.zeros(1, self.precision)}
+        if case.tolerance(np.dtype(self.dtype).name) is None:
+            return {"out.unasked": np.zeros(1, self.dtype)}
         with np.errstate(all="ignore"):
-            return self.change(case, self.compute(case, self.precision))
+            return self.change(case, self.compute(case, self.dtype))

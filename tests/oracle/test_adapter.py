@@ -328,6 +328,7 @@ FIELDS = {
     "answer['out']['y']['shape'] = [10**9, 10**9, 10**9]": "bytes for",
     "answer['out']['y']['shape'] = [0] * 99": "out.y.shape",
     "answer['out']['y'].update(dtype='BOOL', shape=[48])": "bytes 0 and 1",
+    "answer['in_bar']['x'].update(dtype='F32', shape=[2, 6])": "in_bar.x: expected float64",
     "del answer['in_bar']['x']['shape']": "in_bar.x.shape: expected a list",
     "answer['out']['y'] = [1.0]": "out.y: expected the fields",
     "answer['out'] = [1.0]": "'out': expected an object of arrays",

@@ -5,7 +5,6 @@ Also the commands, and what they export.
 
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,18 +138,6 @@ def test_a_misspelt_case_or_subject_is_refused(tmp_path):
         (folder / wrong).write_bytes(b"")
         with pytest.raises(safetensors.TensorError, match=f"{wrong}: name: .* {meant},"):
             FolderPort(folder)
-
-
-@pytest.mark.parametrize("asked, answered", [("float64", "float32"), ("float32", "float64")])
-def test_a_process_answers_in_the_precision_that_it_was_asked_for(asked, answered):
-    def run(case):
-        right = expected(case.tensors)
-        return right | {"in_bar.l_a": right["in_bar.l_a"].astype(answered)}
-
-    port = SimpleNamespace(run=run, dtype=np.dtype(asked))
-    report = checker.check_port(port, only="offsets/by_hand")
-    says = f"in_bar.l_a: dtype: {answered}, expected {asked} as the checker's first line says"
-    assert not report.ok and says in str(report), str(report)
 
 
 def test_nothing_checked_is_not_success():

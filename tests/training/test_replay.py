@@ -1,23 +1,28 @@
 """The vectors of the training: replayed in plain loops, and gradients by finite differences."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from p4dgs_ref.equations import hash_grid
+from p4dgs_ref import model
+from p4dgs_ref.equations import hash_grid, noise, rate_loss, ssim
 from p4dgs_ref.oracle import FolderPort, checker, published
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.oracle.published import flatten
-from p4dgs_ref.oracle.report import as_json
+from p4dgs_ref.oracle.report import as_json, name_of
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.training import objective
+from p4dgs_ref.training import density, loop, objective, parameters, trainer
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import Preset, rows_of
 from p4dgs_ref.training.trainer import LEARNING_RATES
-from tests.golden import replay
+from tests.golden import pipeline, replay
 from tests.golden.mistakes import MISTAKES
+from tests.golden.mistakes.training import StockAdam
 from tests.golden.pipeline import by_step
 from tests.oracle.answers import Port, right, write
+from tests.sampling import few
 
 CASES = [c for key in ("training", "training_whole") for c in published.cases(key)]
 EVERY_STEP = published.cases("training_steps")
@@ -214,6 +219,51 @@ def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):
 
 
 # --- mistakes -----------------------------------------------------------------------------------
+def halved(*arguments):
+    return {name: bar / 2 for name, bar in noise.backward(*arguments).items()}
+
+
+@pytest.mark.parametrize(
+    "module, name, wrong, room",
+    few(
+        [
+            (parameters, "BETA_1", 0.8, "Adam"),
+            (parameters, "EPSILON", 1e-3, "Adam"),
+            (trainer, "exponential", lambda _, first, *others: first, "learning rates"),
+            (trainer.Trainer, "first_stage", {}, "learning rates"),
+            (density, "MAX_LOG_SCALE", -2.0, "density control"),
+            (density, "often_seen", lambda statistics, _: statistics.seen >= 0, "density control"),
+            (model, "LATTICE", 2**15 - 1, "lattice"),
+            (ssim, "C1", 0.02, "ssim"),
+            (rate_loss, "in_precision_of", lambda a, n: 2 * n, "rate_loss"),
+            (
+                objective,
+                "noise",
+                SimpleNamespace(forward=noise.forward, backward=halved),
+                "gradients",
+            ),
+        ],
+        3,
+    ),
+)
+def test_the_first_line_names_the_part_with_the_first_wrong_number(
+    monkeypatch, module, name, wrong, room
+):
+    monkeypatch.setattr(module, name, wrong)
+    subjects = {"trace_steps", "trace", "training_steps", "training"}
+    report = checker.check_port(Port(), ["L4"], subjects)
+    assert f"first divergence: {name_of(room)}\n" in str(report)
+
+
+def test_stock_adam_is_named_in_every_subject(monkeypatch):
+    for module in (pipeline, loop, replay):
+        monkeypatch.setattr(module, "Adam", StockAdam)
+    subjects = {"trace_steps", "trace", "training_steps", "training", "training_whole"}
+    report = checker.check_port(Port(), ["L4"], subjects)
+    assert "first divergence: Adam\n" in str(report) and all(r.wrong for r in report.results)
+    assert all("[adam-epsilon-after-correction]" in r.explanation for r in report.results)
+
+
 @pytest.mark.parametrize("id", ["training-moments-not-reset", "training-positions-move"])
 def test_a_mistake_is_noticed_and_explained_in_all_ten_steps_too(id):
     """The doctor has answers to `training`; what fails in `training_whole` refers to it."""

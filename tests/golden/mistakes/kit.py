@@ -27,11 +27,12 @@ class Mistake(NamedTuple):
     description: str  # what the port does instead, said to its author
     run: Callable  # (inputs, {"x_bar": array}) -> ({output: array}, {input: gradient})
     noisy: tuple = ()  # cases in which the answers are rounding noise: the doctor takes any
+    room: str = ""  # to blame, where it is not the subject's equation
 
     @property
     def equation(self):
-        """The equation to blame."""
-        return subjects()[self.subject].equation
+        """The equation or the part of a training to blame."""
+        return self.room or subjects()[self.subject].equation
 
 
 def quiet(run):

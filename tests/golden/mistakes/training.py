@@ -1,9 +1,14 @@
 """Known mistakes between the steps of a training: moments, masks, learning rates."""
 
+from unittest.mock import patch
+
 import numpy as np
 
+from p4dgs_ref.equations import grid_nodes, hash_grid
+from p4dgs_ref.oracle.rooms import ADAM, DENSITY, RATES
 from p4dgs_ref.training.density import ROWS
-from p4dgs_ref.training.parameters import Adam, exponential
+from p4dgs_ref.training.parameters import BETA_1, BETA_2, Adam, exponential
+from tests.golden import pipeline
 from tests.golden.mistakes.kit import surgery
 from tests.golden.replay import Replayed, replay
 
@@ -72,39 +77,129 @@ class NeverMasks(Replayed):
             self.mask = before
 
 
-def of_training(id, description, trainer):
-    def run(given, _):
-        return replay(**given, trainer=trainer)[0], {}
+class StockAdam(Adam):
+    """torch.optim.Adam: epsilon is added to the root of the corrected second moment."""
 
-    return surgery("training", id, description, run)
+    epsilon = 1e-15
+
+    def step(self, parameters, gradients, rate_of):
+        before = parameters.vector.copy()
+        super().step(parameters, gradients, rate_of)  # moments and counts
+
+        def share(beta, name):
+            return 1 - beta ** self.steps[name] or 1
+
+        slow = parameters.per_element(lambda name: rate_of(name) / share(BETA_1, name))
+        root = np.sqrt(self.second.vector / parameters.per_element(lambda n: share(BETA_2, n)))
+        parameters.vector[...] = before - slow * self.first.vector / (root + self.epsilon)
+
+
+class WithItsDefault(StockAdam):
+    epsilon = 1e-8
+
+
+def of_trace(id, description, adam):
+    def run(given, _):
+        with patch.object(pipeline, "Adam", adam):
+            return pipeline.trace_vjp(**given)[0], {}
+
+    return surgery("trace", id, description, run)._replace(room=ADAM)
+
+
+def through_the_grid(given, _):
+    """The norm of the gradient of x_a with what flows through the weights of the grid."""
+    outputs, read = pipeline.trace_vjp(**given)[0], {}
+
+    def query(located, grids):
+        read["signs"] = [np.where(grid >= 0, 1, -1) for grid in grids]
+        return kept[0](located, grids)
+
+    def backward(saved, h_bar):
+        read["h_bar"] = h_bar
+        return kept[1](saved, h_bar)
+
+    kept = hash_grid.query, hash_grid.backward
+    with patch.multiple(hash_grid, query=query, backward=backward):
+        for norm, (*_, gradients) in zip(outputs["gradient_norm"], pipeline.traced(**given)):
+            x_bar = gradients["x_a"] + of_positions(**read, **given)
+            norm[given["arrays"].index("x_a")] = np.linalg.norm(x_bar)
+    return outputs, {}
+
+
+def of_positions(signs, h_bar, x_a, lo, hi, resolutions, **_):
+    """The gradient of the positions through the multilinear weights of all levels."""
+    x_bar = np.zeros_like(x_a)
+    h_bar = h_bar.reshape(len(x_a), len(signs), -1)
+    for level, (axes, res) in enumerate(resolutions):
+        index, _ = grid_nodes.nodes(x_a, lo, hi, axes, res, len(signs[level]))
+        axis = ["xyz".index(name) for name in axes]
+        position = ((x_a - lo) / (hi - lo))[:, axis] * (res - 1)
+        corner = np.indices((2,) * len(axis)).reshape(len(axis), -1).T
+        fraction = (position % 1)[:, None]
+        factors = np.where(corner, fraction, 1 - fraction)
+        for i, column in enumerate(axis):
+            slope = np.where(corner[:, i], 1, -1) * np.delete(factors, i, axis=2).prod(axis=2)
+            h_slope = np.einsum("ac,acf->af", slope, signs[level][index])
+            x_bar[:, column] += (h_bar[:, level] * h_slope).sum(1) * (res - 1) / (hi - lo)[column]
+    return x_bar
+
+
+def of_training(id, description, replayed, room):
+    def run(given, _):
+        return replay(**given, trainer=replayed)[0], {}
+
+    return surgery("training", id, description, run)._replace(room=room)
 
 
 MISTAKES = [
+    of_trace(
+        "adam-epsilon-after-correction",
+        "stock torch.optim.Adam: eps is added after the bias correction of v instead of before",
+        StockAdam,
+    ),
+    of_trace(
+        "adam-default-epsilon",
+        "torch.optim.Adam with its default eps = 1e-8, which is far above small gradients",
+        WithItsDefault,
+    ),
+    surgery(
+        "trace",
+        "trace-gradient-through-grid",
+        "a gradient flows through the weights of the hash grid into x_a: x_a is not detached there",
+        through_the_grid,
+    )._replace(room="hash_grid"),
     of_training(
         "training-moments-not-reset",
         "new anchors start with the moments of old ones instead of zeros",
         Inherits,
+        DENSITY,
     ),
     of_training(
         "training-optimiser-anew",
         "growing starts all moments and counts of Adam anew",
         Anew,
+        DENSITY,
     ),
-    of_training("training-dead-stay", "anchors grow, but dead ones are not removed", KeepsTheDead),
+    of_training(
+        "training-dead-stay", "anchors grow, but dead ones are not removed", KeepsTheDead, DENSITY
+    ),
     of_training(
         "training-linear-sizes",
         "new anchors store the size of their voxel where its logarithm belongs",
         LinearScales,
+        DENSITY,
     ),
     of_training(
         "training-positions-move",
         "positions go on moving in stage 4, away from where the grid has located them",
         MovesInStage4,
+        RATES,
     ),
     of_training(
         "training-counts-iterations",
         "Adam corrects its bias by the iteration, also for arrays that join in stage 4",
         CountsIterations,
+        ADAM,
     ),
-    of_training("training-never-masks", "faint children are never masked", NeverMasks),
+    of_training("training-never-masks", "faint children are never masked", NeverMasks, DENSITY),
 ]
