@@ -59,8 +59,8 @@ def check(forward, key, vjp=None, strict=False):
     are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
     is no better. Raises KeyError where `key` is no subject.
     """
-    results = check_subject(published.cases(key), FunctionPort(forward, vjp), strict)
-    return Report(results, strict=strict)
+    port = FunctionPort(forward, vjp)
+    return Report(check_subject(published.cases(key), port, strict), strict=strict)
 
 
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):

@@ -54,10 +54,11 @@ def _room(settings, wrong):
     if "gradient_norm" in names:
         return GRADIENTS
     adjusts = every and (iteration + 1) % every == 0 and step > 0
-    if adjusts or "shape" in names.values() or names.keys() & STATISTICS:
+    if adjusts or "shape" in names.values():
         return DENSITY
-    moments = {name[2:] for name in names if name.startswith("m_") and f"v_{name[2:]}" in names}
-    return GRADIENTS if moments else ADAM
+    if any(name.startswith("m_") and f"v_{name[2:]}" in names for name in names):
+        return GRADIENTS
+    return DENSITY if names.keys() & STATISTICS else ADAM
 
 
 def shared_by(result):

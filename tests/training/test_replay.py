@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from p4dgs_ref import model
-from p4dgs_ref.equations import hash_grid, noise, rate_loss, ssim
+from p4dgs_ref.equations import hash_grid, rate_loss, ssim
 from p4dgs_ref.oracle import FolderPort, checker, published
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.oracle.report import as_json, name_of
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import density, loop, objective, parameters, trainer
 from p4dgs_ref.training.initial import design_of
@@ -220,7 +221,7 @@ def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):
 
 # --- mistakes -----------------------------------------------------------------------------------
 def halved(*arguments):
-    return {name: bar / 2 for name, bar in noise.backward(*arguments).items()}
+    return {name: bar / 2 for name, bar in render.backward(*arguments).items()}
 
 
 @pytest.mark.parametrize(
@@ -238,8 +239,8 @@ def halved(*arguments):
             (rate_loss, "in_precision_of", lambda a, n: 2 * n, "rate_loss"),
             (
                 objective,
-                "noise",
-                SimpleNamespace(forward=noise.forward, backward=halved),
+                "render",
+                SimpleNamespace(forward=render.forward, backward=halved),
                 "gradients",
             ),
         ],
@@ -250,9 +251,12 @@ def test_the_first_line_names_the_part_with_the_first_wrong_number(
     monkeypatch, module, name, wrong, room
 ):
     monkeypatch.setattr(module, name, wrong)
-    subjects = {"trace_steps", "trace", "training_steps", "training"}
-    report = checker.check_port(Port(), ["L4"], subjects)
-    assert f"first divergence: {name_of(room)}\n" in str(report)
+    pairs = {"trace_steps", "trace"}, {"training_steps", "training"}
+    wrong = [
+        report for pair in pairs if not (report := checker.check_port(Port(), ["L4"], pair)).ok
+    ]
+    assert {report.first.equation for report in wrong} == {room}
+    assert f"first divergence: {name_of(room)}\n" in str(wrong[0])
 
 
 def test_stock_adam_is_named_in_every_subject(monkeypatch):
