@@ -86,6 +86,17 @@ TELLING_FACTORS = {
     1000: "a unit that is a thousandth",
     1 / 1000: "a unit that is a thousand times larger",
 }
+# Wrong whole numbers that are answered often, and what has been forgotten.
+TYPICAL_MISTAKES = {
+    "07.1": (
+        ([3, 2, -3, -2], "ties are rounded up instead of to even"),
+        ([3, 2, -4, -2], "ties are rounded away from zero instead of to even"),
+    ),
+    "19.1": ((2400, "the box is missing"),),
+    "21.1": (([567, 629], "slot 9 is read as A's where A has only slots 0 to 8"),),
+    "25.1": ((768, "the biases are missing"),),
+    "29.2": ((3393264, "this product is beyond 2^53, but even"),),
+}
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 HINTS_GIVEN = {}  # exercise -> how many hints were asked for
 
@@ -261,9 +272,10 @@ def golden(id):
 def check_number(exercise, mine, want=None, digits=6):
     """Check an exercise whose answer is a number or an array; Ellipsis stands for no answer.
 
-    Without `want`, the answer is compared with the one that is stored for the exercise.
+    Whole numbers must be equal; others need as many right digits as `digits` says. Without `want`,
+    the answer is compared with the one that is stored for the exercise.
     """
-    want = np.asarray(stored("answers")[exercise] if want is None else want, float)
+    want = np.asarray(stored("answers")[exercise] if want is None else want)
     try:
         mine = np.asarray(mine, float)
     except (TypeError, ValueError):
@@ -271,10 +283,14 @@ def check_number(exercise, mine, want=None, digits=6):
     if mine.shape != want.shape:
         shapes = f"{list(mine.shape)}, expected {list(want.shape)}"
         return settle(exercise, f"shape {shapes}; [] is a single number")
-    right = np.isclose(mine, want, 0, 10.0**-digits * np.abs(want).max(initial=0))
+    allowed = 0 if is_whole(want) else 10.0**-digits * np.abs(want).max(initial=0)
+    right = np.isclose(mine, want, 0, allowed)
     if right.all():
         return settle(exercise, "")
-    if np.isclose(mine, want, NEAR_TOLERANCE, 0).all():
+    for answer, mistake in TYPICAL_MISTAKES.get(exercise, ()):
+        if np.array_equal(mine, answer):
+            return settle(exercise, mistake)
+    if not is_whole(want) and np.isclose(mine, want, NEAR_TOLERANCE, 0).all():
         return settle(exercise, f"nearly right, but {digits} right digits are expected")
     first = tuple(np.argwhere(~right)[0].tolist())
     example = f"; the first, {list(first)}: {difference(mine[first], want[first])}"
@@ -397,30 +413,42 @@ def difference(mine, right, example=""):
     Of a single number only a telling factor is named; others would give the right one away.
     `example` follows where the errors of several numbers have nothing in common.
     """
-    wrong = ~np.isclose(mine, right, ROUNDING_TOLERANCE, 0)
+    near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
+    wrong = ~np.isclose(mine, right, rounding, 0)
+    lost = np.argwhere(np.isfinite(right) & ~np.isfinite(mine)).tolist()
+    where = f"{lost[0]} is {mine[tuple(lost[0])]}" if any(lost) else f"it is {mine}"
     factor = np.vdot(right, mine) / np.vdot(right, right)
     telling = [
         (known, unit)
         for known, unit in TELLING_FACTORS.items()
-        if np.isclose(abs(factor), known, NEAR_TOLERANCE, 0)
+        if np.isclose(abs(factor), known, near, 0)
     ]
     unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
     sign = "right" if factor > 0 else "wrong"
     size = "large" if abs(factor) > 1 else "small"
     some = f"{wrong.sum()} of {right.size} numbers"
     rules = (
+        (lost, where),
         (not wrong.any(), "too few right digits"),
-        (np.isclose(mine, right, NEAR_TOLERANCE, 0).all(), "nearly right"),
+        (np.isclose(mine, right, near, 0).all(), "nearly right"),
         (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
         (
             right.size == 1 and np.isfinite(factor),
             f"it is wrong: its sign is {sign}, its magnitude too {size}",
         ),
         (
-            close(mine, factor * right, ROUNDING_TOLERANCE),
+            np.isclose(mine, factor * right, rounding, 0).all(),
             f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",
         ),
-        (close(np.abs(mine), np.abs(right), ROUNDING_TOLERANCE), f"{some} have the wrong sign"),
+        (
+            np.isclose(np.abs(mine), np.abs(right), rounding, 0).all(),
+            f"{some} have the wrong sign",
+        ),
         (True, f"{some} are wrong{example}"),
     )
     return next(message for holds, message in rules if holds)
+
+
+def is_whole(right):
+    """Whether the right numbers are integers, of which one is right or wrong but never near."""
+    return right.dtype.kind in "iub"

@@ -37,12 +37,13 @@ def test_close_is_relative_to_the_largest_number():
         ([1, -2], "not solved: 1 of 2 numbers have the wrong sign"),
         ([1, 5], "1 of 2 numbers are wrong; the first, [1]: it is wrong: its sign is right, its"),
         ([-1, 6], "2 of 2 numbers are wrong; the first, [0]: it is -1 times the right number"),
+        ([1, -np.inf], "not solved: [1] is -inf\n"),
         (3, "not solved: shape [], expected [2]; [] is a single number"),
         ("two", "not solved: expected a number"),
     ],
 )
 def test_numbers(mine, message, capsys):
-    assert lessons.check_number("01.1", mine, [1, 2]) is None  # a notebook would print a value
+    assert lessons.check_number("01.1", mine, [1.0, 2.0]) is None  # a notebook would print a value
     assert lessons.RESULTS == {"01.1": mine == [1, 2]}
     assert message in capsys.readouterr().out
 
@@ -53,12 +54,12 @@ def test_numbers(mine, message, capsys):
         (7, "solved"),
         (-7, "it is -1 times the right number"),
         (14, "it is 2 times the right number"),
-        (7.001, "nearly right, but 6 right digits are expected"),
+        (7.001, "it is wrong: its sign is right, its magnitude too large"),
         (56, "it is 8 times the right number (bits instead of bytes?)"),
         (0.07, "it is 0.01 times the right number (a fraction instead of per cent?)"),
         (8, "it is wrong: its sign is right, its magnitude too large"),
         (-6, "it is wrong: its sign is wrong, its magnitude too small"),
-        (float("nan"), "1 of 1 numbers are wrong"),
+        (float("nan"), "not solved: it is nan\n"),
     ],
 )
 def test_short_answers_are_stored_and_not_given_away(mine, message, capsys):
@@ -66,6 +67,32 @@ def test_short_answers_are_stored_and_not_given_away(mine, message, capsys):
     printed = capsys.readouterr().out
     assert message in printed
     assert message == "solved" or "7" not in printed.replace("20.1", "")
+
+
+@pytest.mark.parametrize(
+    "exercise, mine, message",
+    [
+        ("25.1", 768, "not solved: the biases are missing\n"),
+        ("25.1", 773, "its sign is right, its magnitude too large\n"),
+        ("19.1", 2400, "not solved: the box is missing\n"),
+        ("21.1", [567, 629], "not solved: slot 9 is read as A's where A has only slots 0 to 8\n"),
+        ("29.1", 6, "it is 2 times the right number"),
+        ("29.2", 3393264, "not solved: this product is beyond 2^53, but even\n"),
+        ("29.2", 3393266, "its sign is right, its magnitude too large\n"),
+    ],
+)
+def test_a_whole_number_is_right_or_wrong(exercise, mine, message, capsys):
+    lessons.check_number(exercise, mine)
+    assert message in capsys.readouterr().out
+    for answer, _ in lessons.TYPICAL_MISTAKES.get(exercise, ()):
+        assert np.shape(answer) == np.shape(lessons.stored("answers")[exercise])
+
+
+def test_numbers_that_agree_with_the_largest_alone_are_counted():
+    right = np.array([1.0, 1e-9, 1e-9, 2.0])
+    said = [lessons.difference(right * [1, c, 1, 1], right) for c in (2, -1)]
+    assert said == ["1 of 4 numbers are wrong", "1 of 4 numbers have the wrong sign"]
+    assert lessons.difference(right < 1, right > 0) == "2 of 4 numbers are wrong"  # flags, too
 
 
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
@@ -165,7 +192,7 @@ def test_feedback_names_the_mistake_that_the_oracle_names(capsys):
         (lambda q_bar, f_bar: q_bar / -4, "are -0.25 times the right ones\n"),
         (lambda q_bar, f_bar: 7 * q_bar, "are 7 times the right ones\n"),
         (lambda q_bar, f_bar: q_bar**3 + 1, "q: 6 of 6 numbers are wrong\n"),
-        (lambda q_bar, f_bar: q_bar * np.nan, "q: 6 of 6 numbers are wrong\n"),
+        (lambda q_bar, f_bar: q_bar * np.nan, "q: [0, 0] is nan\n"),
         (lambda q_bar, f_bar: q_bar * (1 + 1e-9), "q: too few right digits\n"),
     ],
 )
