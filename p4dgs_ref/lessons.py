@@ -392,6 +392,9 @@ def problem(cases, port, roles):
         message = f": {difference(mine, right)}\n  Case {case.id}: {place}"
     if finding.kind in ("missing", "shape"):
         got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
+        types = getattr(port, "types", {}).get(case.id)  # a student's process may say anything
+        if mine is None and isinstance(types, dict) and name in types:
+            got = f"of type {types[name]!s:.40}"
         message = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
     if known:
         message += f"\n  It looks like this: {known}"

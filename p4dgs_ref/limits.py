@@ -26,6 +26,9 @@ MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and sta
 # Answers of a port.
 MAX_ANSWER_BYTES, MAX_ANSWER_HEADER_BYTES = 2**28, 2**20
 
+# The classroom.
+MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the key has 6,000
+
 MAX_MESSAGE = 1000
 
 

@@ -33,7 +33,8 @@ def test_notebook_shows_text_and_figures_and_links_somewhere(file):
     assert form.flaws(notebook) == []
     outputs = [o for cell in notebook["cells"] for o in cell.get("outputs", ())]
     assert any("image/png" in o.get("data", ()) for o in outputs)
-    assert any(o.get("name") == "stdout" for o in outputs)
+    printed = "".join(o["text"] for o in outputs if o.get("name") == "stdout")
+    assert printed and ": \n" not in printed  # something follows "fails: "
     links = form.links(notebook)
     assert len(links) >= 3
     assert [link for link in links if not (file.parent / link).exists()] == []

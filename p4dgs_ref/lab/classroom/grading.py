@@ -23,8 +23,17 @@ from ...scenes.fields import printable
 from ...table import EQUATIONS
 from ..writer import text_table
 from .held_back import cases, is_ordinary
-from .room import files_of, keys_of, modules_of, parts_of, sources_of, stubs_of
-from .student import Student, alike, copies, functions, joined, same_lines
+from .room import (
+    ClassroomError,
+    files_of,
+    keys_of,
+    modules_of,
+    parts_of,
+    sources_of,
+    stubs_of,
+    text_of,
+)
+from .student import Student, alike, copies, functions, joined, same_lines, unusual
 
 FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
 ROLES = {"forward": "out.", "backward": "in_bar.", "follow": "in_bar."}
@@ -72,8 +81,10 @@ def source_in(folder, key):
     files = {}
     for name in modules_of(key):
         try:
-            files[name] = (folder / f"{name}.py").read_text(encoding="utf-8")
+            files[name] = text_of(folder / f"{name}.py")
             functions(files[name])
+        except ClassroomError as error:
+            return "", f"{name}.py: {error}"
         except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
             return "", f"{name}.py cannot be read: {type(error).__name__}: {error}"
     return ("", "not begun") if files == stubs_of(key) else (joined(files), "")
@@ -83,7 +94,7 @@ def row_of(key, files, source, says, is_whole, seed):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
 
     In the row, `says` is the reason why points are missing. `flags` are copies; with any of them
-    there are no points.
+    there are no points. `unusual` are names that no equation needs, which cost none.
     """
     row = {
         "number": EQUATIONS[key].number,
@@ -92,6 +103,7 @@ def row_of(key, files, source, says, is_whole, seed):
         "points": 0.0,
         "of": FORWARD + GRADIENTS + HARD,
         "flags": [],
+        "unusual": unusual(source),
         "parts": [],
         "says": says,
     }
@@ -176,6 +188,9 @@ def rows_of(grades):
             "of": student["of"],
             "copied": sum(bool(row["flags"]) for row in student["equations"]),
             "alike": sum(student["student"] in pair["students"] for pair in grades["alike"]),
+            "unusual": " ".join(
+                sorted({n for row in student["equations"] for n in row["unusual"]})
+            ),
             "seed": grades["seed"],
         }
         for student in grades["students"]
@@ -184,7 +199,7 @@ def rows_of(grades):
 
 def to_text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
-    sums = ("student", "points", "of", "copied", "alike", "seed")
+    sums = ("student", "points", "of", "copied", "alike", "seed", "unusual")
     lines = text_table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
     pairs = [
         f"    {' and '.join(pair['students'])}: {', '.join(pair['equations'])}"
@@ -205,6 +220,7 @@ def details(student):
         ]
         points = f"{row['points']:5.2f} of {row['of']}"
         lines.append(f"{name_of(row['key']):<28}  {points}  {', '.join(parts)}".rstrip())
+        lines += [f"    unusual: {' '.join(row['unusual'])}"] * bool(row["unusual"])
         lines += [f"    {line}" for line in row["says"].splitlines()]
     return "\n".join(lines)
 

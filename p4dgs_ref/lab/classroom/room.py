@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ...lessons import tutorial_of
+from ...limits import MAX_STUDENT_BYTES
 from ...oracle.report import name_of
 from ...output import filled
 from ...table import EQUATIONS
@@ -40,7 +41,7 @@ OTHER_MODULES = {"hash_grid": ("grid_nodes",)}
 
 
 class ClassroomError(ValueError):
-    """The folder is not a classroom, or the key is not one of an equation."""
+    """A folder or a file is not one of a classroom, or the key is not one of an equation."""
 
 
 def hand_out(folder, only=None):
@@ -99,6 +100,17 @@ def keys_of(folder):
             "`p4dgs-ref classroom` writes one to a new folder"
         )
     return keys
+
+
+def text_of(path):
+    """Return the text of a student's file, with or without a byte order mark.
+
+    Raises ClassroomError for a pipe, a device, a link to one, or a file that is too large, OSError
+    and UnicodeDecodeError.
+    """
+    if path.exists() and not (path.is_file() and path.stat().st_size <= MAX_STUDENT_BYTES):
+        raise ClassroomError(f"expected a regular file of at most {MAX_STUDENT_BYTES:,} bytes")
+    return path.read_text(encoding="utf-8-sig")
 
 
 # --- the files that students get ------------------------------------------------------------------
@@ -180,7 +192,7 @@ tutorial that explains each equation.
   loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
 - Eq. (9) has two files: `hash_grid.py` imports what you write in `grid_nodes.py`.
-- Hand in this folder.
+- Hand in this folder. Each file is a regular file of at most 200,000 bytes in UTF-8.
 
 ## How it is graded
 
@@ -202,8 +214,10 @@ has too few digits in float64 loses most of the hard cases.
   on what the reference's forward saves, so keep the line that unpacks `saved` until your forward
   works. The exceptions are `hash_grid`, `step` and `likelihood`, whose forwards save the slopes
   themselves.
-- Functions receive float64 and must return float64. Printed text is ignored, and functions that run
-  for too long are stopped.
+- Functions receive float64 and must return arrays of float64; lists or float32 are named and get
+  no points. Printed text is ignored, and functions that run for too long are stopped.
+- Names that no equation needs, such as `open`, `exec` or `sys`, are listed for your teacher. That
+  takes no points away.
 - A file with a copy of the package's functions gets no points. Copies are recognised whatever their
   names, comments and layout are. Short functions, which are alike by chance, do not count, unless
   the text is the reference's line for line: with its comments, or in three files or more.
@@ -254,13 +268,17 @@ have worked together, or started from the same solution of a tutorial. Short equ
 code are not listed, for the reason above. A group of students who copied from each other is listed
 as all its pairs.
 
+**Names that no equation needs**, such as `exec`, `open`, `sys`, `os`, `gc` or `inspect`, have a
+column of their own, *unusual*, and a line below the equation. They take no points away, because a
+variable may have such a name.
+
 This keeps honest students honest. It does not stop a student who is determined to cheat:
 
 - A copy of which more was changed is not noticed, and neither is one of a short equation without
   its comments, or with other names.
 - A file can open the installed package as a text and run it, undo the lock on imports, start a
-  process of its own or look into the memory of the one that it runs in. Whoever reads the file sees
-  this at once.
+  process of its own or look into the memory of the one that it runs in. It gets full points then;
+  the column *unusual* and a look at the file show it.
 - Solutions of the tutorials, ports on the web, answers of earlier years and those of language
   models are not compared.
 

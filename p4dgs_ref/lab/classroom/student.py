@@ -31,12 +31,16 @@ from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.ports import PortError
 from ...oracle.published import Golden, flatten
 from ...table import EQUATIONS
-from .room import modules_of, stubs_of
+from .room import modules_of, stubs_of, text_of
 
 PACKAGE = Path(__file__).resolve().parents[2]
 ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same, it is below 0.4
 MIN_CHARACTERS = 200  # of such functions in an equation; names count as one
 MIN_EQUATIONS = 3  # without a comment, whose lines are the same by more than chance
+UNUSUAL = {
+    *("__builtins__", "__import__", "_getframe", "builtins", "compile", "ctypes", "eval", "exec"),
+    *("gc", "globals", "importlib", "inspect", "io", "open", "os", "pathlib", "subprocess", "sys"),
+}
 CASE_SECONDS = 5
 ALL_SECONDS = 30  # for all cases of an equation; the cases after that are not asked
 START_SECONDS = 60  # importing NumPy does not count against the student
@@ -131,6 +135,13 @@ def functions(source):
     }
 
 
+def unusual(source):
+    """Return the names in a file that no equation needs, from which it may reach the answers."""
+    fields = (value for node in ast.walk(ast.parse(source)) for _, value in ast.iter_fields(node))
+    words = {word for value in fields if isinstance(value, str) for word in value.split(".")}
+    return sorted(words & UNUSUAL)
+
+
 # --- the process, from outside --------------------------------------------------------------------
 class Student(Adapter):
     """The process with one student's file."""
@@ -138,17 +149,22 @@ class Student(Adapter):
     def __init__(self, path):
         command = [sys.executable, "-c", START, str(PACKAGE.parent), str(path)]
         super().__init__(shlex.join(command))
+        self.types = {}  # case -> {output or gradient: its type}
         self.end = time.monotonic() + ALL_SECONDS
 
     def part(self, name):
         """Return the port that answers with one part: forward, backward or follow."""
-        return SimpleNamespace(run=lambda case: self.run(case._replace(subject=name)))
+        return SimpleNamespace(
+            run=lambda case: self.run(case._replace(subject=name)), types=self.types
+        )
 
     def _exchange(self, request, field):
         if time.monotonic() >= self.end:
             raise PortError("hung", f"not asked, because {ALL_SECONDS} s are over")
         self.timeout = CASE_SECONDS if "id" in request else START_SECONDS
-        return super()._exchange(request, field)
+        reply = super()._exchange(request, field)
+        self.types[request.get("id")] = reply.get("types")
+        return reply
 
 
 # --- inside the process ---------------------------------------------------------------------------
@@ -208,7 +224,7 @@ def executed(path, eq):
     package = eq.module.rpartition(".")[0]
     module = ModuleType(f"{package}.{path.stem}_of_a_student")
     module.__package__, module.__file__ = package, str(path)
-    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    exec(compile(text_of(path), str(path), "exec"), module.__dict__)
     return module
 
 
@@ -247,13 +263,16 @@ def answer(eq, request, reference):
         raise WrongForm("expected a pair, the output and what backward needs")
     output, saved = pair
     if part == "forward":
-        return {"out": packed_tensors(outputs_of(output, eq.outputs)), "in_bar": {}}
-    made = eq.backward(saved, **case.cotangents())
-    return {"out": {}, "in_bar": packed_tensors(gradients_of(made, eq.gradients))}
+        role, values = "out", outputs_of(output, eq.outputs)
+    else:
+        made = eq.backward(saved, **case.cotangents())
+        role, values = "in_bar", gradients_of(made, eq.gradients)
+    arrays, types = with_types(values)
+    return {"out": {}, "in_bar": {}, role: arrays, "types": types}
 
 
-def packed_tensors(values):
-    """Return arrays and lists of arrays, flat and packed.
+def with_types(values):
+    """Return arrays and lists of arrays, flat and packed, and the types of all values.
 
     What is neither float64 nor whole numbers is left out, so that it counts as missing.
     """
@@ -263,4 +282,10 @@ def packed_tensors(values):
             for name, value in values.items()
         }
     )
-    return {n: packed(a) for n, a in flat.items() if a.dtype == float or a.dtype.kind in "iub"}
+    types = {name: a.dtype.name for name, a in flat.items()} | {
+        name: type(value).__name__
+        for name, value in values.items()
+        if not isinstance(value, np.ndarray)
+    }
+    kept = {n: packed(a) for n, a in flat.items() if a.dtype == float or a.dtype.kind in "iub"}
+    return kept, types

@@ -3,16 +3,19 @@
 import csv
 import inspect
 import json
+import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import run
 from p4dgs_ref.lab import classroom
 from p4dgs_ref.lab.classroom import student
 from p4dgs_ref.lab.classroom.room import (
+    STUDENT,
     TEACHER,
     functions_in,
     functions_of,
@@ -161,7 +164,15 @@ GRADED = {
     "a missing gradient": ("offsets", None, TWO, 7, {}, "backward: the gradient of l_a is missing"),
     "float32": (
         *("offsets", RIGHT + "return x.astype(np.float32), (O_a, l_a)", None, 5, NO_FORWARD),
-        "forward: the output x is missing; expected [A, k, 3] = [5, 4, 3] of float64",
+        "forward: the output x is of type float32; expected [A, k, 3] = [5, 4, 3] of float64",
+    ),
+    "a list": (
+        *("offsets", RIGHT + "return x.tolist(), (O_a, l_a)", None, 5, NO_FORWARD),
+        "forward: the output x is of type list; expected [A, k, 3] = [5, 4, 3] of float64",
+    ),
+    "a gradient in float32": (
+        *("offsets", None, TWO[:-1] + ', "l_a": l_a.astype("f")}', 7, {}),
+        "backward: the gradient of l_a is of type float32; expected [A, 3] = [5, 3] of float64",
     ),
     "no pair": ("offsets", RIGHT + "return x", None, 5, NO_FORWARD, "forward: expected a pair, "),
     "no dictionary": (
@@ -206,7 +217,14 @@ GRADED = {
         *("offsets", "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", None, 5),
         *(NO_FORWARD, "signal 9"),
     ),
-    "no numbers": ("offsets", "return np.array(['x']), None", None, 5, {}, "output x is missing"),
+    "no numbers": (
+        "offsets",
+        "return np.array(['x']), None",
+        None,
+        5,
+        {},
+        "output x is of type str32",
+    ),
     "reads": ("offsets", "input()", None, 5, NO_FORWARD, "EOFError"),
     "prints endlessly": (
         *("offsets", "while True:\n    print('x' * 10000)", None, 5, NO_FORWARD, "hung"),
@@ -214,6 +232,12 @@ GRADED = {
 }
 
 
+USES = {  # names that no equation needs
+    "names that mean something else": ["eval", "gc", "inspect", "sys"],
+    "ends the process": ["os"],
+    "ends politely": ["sys"],
+    "is killed": ["os"],
+}
 # Each of their cases starts the process anew, which takes seconds.
 RESTARTED = ("hangs", "ends the process", "is killed", "prints endlessly")
 SAMPLED = few([name for name in GRADED if name not in RESTARTED], 2)
@@ -229,6 +253,7 @@ def test_points_and_reasons(name, tmp_path, monkeypatch):
     assert row["points"] == total
     assert points(row) | parts == points(row)
     assert reason in row["says"] and bool(reason) == bool(row["says"])
+    assert row["unusual"] == USES.get(name, [])
 
 
 def test_time_of_an_equation_is_limited(room, monkeypatch):
@@ -242,15 +267,30 @@ def test_time_of_an_equation_is_limited(room, monkeypatch):
         ("def forward(:\n", "offsets.py cannot be read: SyntaxError"),
         (b"\xff", "offsets.py cannot be read: UnicodeDecodeError"),
         (None, "offsets.py cannot be read: FileNotFoundError"),
+        (os.mkfifo, "offsets.py: expected a regular file of at most 200,000 bytes"),
+        (lambda file: file.symlink_to("/dev/zero"), "offsets.py: expected a regular file"),
+        ("x=1\n" * 50_001, "offsets.py: expected a regular file of at most 200,000 bytes"),
         pytest.param("def forward(a):\n    1\n\n\n1 / 0\n", "ZeroDiv", marks=pytest.mark.slow),
         pytest.param("", "has no attribute 'forward'", marks=pytest.mark.slow),
     ],
 )
 def test_files_that_are_not_equations(room, text, reason):
     file = room / "student" / "offsets.py"
-    file.unlink() if text is None else file.write_bytes(getattr(text, "encode", lambda: text)())
+    file.unlink()
+    if callable(text):
+        text(file)
+    elif text is not None:
+        file.write_bytes(text.encode() if isinstance(text, str) else text)
     (row,) = classroom.grade(room, classroom=room / "key")["students"][0]["equations"]
     assert row["points"] == 0 and reason in row["says"]
+
+
+def test_a_byte_order_mark_costs_no_points(room):
+    write(room, "offsets")
+    file = room / "student" / "offsets.py"
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    (row,) = classroom.grade(room, seed=0)["students"][0]["equations"]
+    assert row["points"] == 10
 
 
 @pytest.mark.slow
@@ -352,9 +392,16 @@ def test_answers_written_independently_are_far_from_copies(path):
 
 
 def test_short_equations_are_alike_by_chance_and_the_teacher_knows_them():
+    assert f"at most {limits.MAX_STUDENT_BYTES:,} bytes" in STUDENT
     short = [key for key in KEYS if not copies(source_of(key), key)]
     assert [key for key in KEYS if copies(stub_of(key), key)] == []
     assert "offsets" in short and "`, `".join(short) in " ".join(TEACHER.split())
+
+
+def test_names_that_no_equation_needs_are_listed():
+    source = "import os.path as p, numpy as np\nexec(open('course/key/mlp.py').read(), {'gc': p})"
+    assert student.unusual(source) == ["exec", "gc", "open", "os"]
+    assert [key for key in KEYS if student.unusual(source_of(key))] == []
 
 
 # --- the lock on the reference --------------------------------------------------------------------
@@ -424,7 +471,7 @@ def test_a_class_is_graded_by_the_same_inputs_in_one_table(course, tmp_path):
     assert float(ben["points"]) == grades["students"][1]["points"] > 0
     assert 6 < float(ben["likelihood"]) < 8  # the printed formula has no digits in the tails
     table = [line.split() for line in text.split("\n\n")[0].splitlines()]
-    assert table[2] == [ben[name] for name in table[0]]
+    assert table[2] == [ben[name] for name in table[0] if ben[name]]
     # the points of one student alone, by the seed that was printed
     again = grade_all(course, "ben", seed=grades["seed"])
     assert again["students"] == grades["students"][1:2]
