@@ -31,13 +31,15 @@ MIN_FACTOR = 1.01  # a knob that saves a smaller factor saves nothing
 USES = {"ms": "for rough work", "seconds": "to try things out", "bytes": "at low rates"}
 HIDDEN = "seeds differ by more"
 # The order of verdicts in the table.
-ORDER = ("always", *USES.values(), HIDDEN, "saves nothing", "no")
+ORDER = ("always", *USES.values(), HIDDEN, "cannot tell", "saves nothing", "no")
 READING = (
     "A row is the step of a knob that saves most and loses no more than is enough: a hundredth of "
     "the bits, half a step of an 8-bit picture, a thousandth of a gradient, 0.1 dB. Where there is "
-    "none, it is the first step that saves anything. Rows are sorted by their verdict and then by "
-    "how many times as cheap they are. Times are processor times of one process, taken in turn; a "
-    "bar goes from quartile to quartile. A dotted line is the loss that is enough."
+    "none, it is the first step that saves anything. Two times cannot be told apart where they "
+    "differ by less than the wider of their ranges from quartile to quartile. Rows are sorted by "
+    "their verdict and then by how many times as cheap they are. Times are processor times of one "
+    "process, taken in turn; a bar goes from quartile to quartile. A dotted line is the loss that "
+    "is enough."
 )
 
 
@@ -102,14 +104,15 @@ def loss(row, reference):
     return row["error"] if "error" in row else reference["psnr_db"] - row["psnr_db"]
 
 
+def is_told(knob, row, reference):
+    """Whether what two rows spend can be told apart: bytes always, times by their quartiles."""
+    return knob.spent == "bytes" or can_tell(row, reference, knob.spent)
+
+
 def factor(knob, row, reference):
     """How many times as much the reference spends; 1 where two times cannot be told apart."""
-    spent = knob.spent
-    return (
-        reference[spent] / row[spent]
-        if spent == "bytes" or can_tell(row, reference, spent)
-        else 1.0
-    )
+    told = is_told(knob, row, reference)
+    return reference[knob.spent] / row[knob.spent] if told else 1.0
 
 
 def finding(knob, rows, spread=0.0):
@@ -125,6 +128,7 @@ def finding(knob, rows, spread=0.0):
     row = max(good, key=lambda row: factors[row["value"]], default=[*saving, *cheaper][0])
     times, lost = factors[row["value"]], loss(row, reference)
     verdicts = {
+        "cannot tell": not is_told(knob, row, reference),
         "saves nothing": times < MIN_FACTOR,
         "always": lost <= knob.enough,
         HIDDEN: knob.harness == "training" and lost <= spread,
