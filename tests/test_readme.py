@@ -17,6 +17,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref import table
+from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import numerics, prior, step
 from p4dgs_ref.report.evaluate import (
@@ -341,6 +342,10 @@ def rate(name):
     return f" {plain(first)} → {plain(last)}" if first != last else f" {plain(first)}"
 
 
+def base_steps(preset):
+    return ", ".join(f"{getattr(preset, row.base_step):g}" for row in ATTRIBUTES)
+
+
 def ends(preset):
     return ", ".join(map(plain, preset.stage_ends))
 
@@ -356,6 +361,10 @@ FACTS = {
         f"`smoke` {SMOKE.L_x} and {SMOKE.L_t}",
     ],
     "Q4": [f"τ_α = {PAPER_SYNTHETIC.tau_alpha:g}", f"{plain(numerics.EPSILON**2)})"],
+    "Q6": [
+        f"the paper's Q_0 of f, s, l, O are {base_steps(PAPER_SYNTHETIC)},",
+        f"those of `tiny` {base_steps(TINY)},",
+    ],
     "Q7": [f"2{str(int(math.log2(step.SMALLEST))).translate(RAISED)} Q_0"],
     "Q8": [f"[{prior.RAW_MIN:g}, {prior.RAW_MAX:g}]"],
     "Q12": [f"λ_rate {plain(PAPER_SYNTHETIC.lambda_rate)},"],

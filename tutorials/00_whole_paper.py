@@ -568,10 +568,9 @@ def render_loss(image, y):
 #
 # Two networks predict the steps q, the means mu and the standard deviations sigma. They read a grid
 # of bits at the anchor's position; networks, positions and grid come first in the file. As psi_q
-# starts near 0, q starts near the base step Q_0. The paper's base steps for f, s, l and O are 1,
-# 0.001, 0.001 and 0.2. Ours are 0.25, 0.01, 0.01 and 0.1, as in the preset `tiny`, because a tiny
-# scene has few anchors with large Gaussians: errors of 0.01 in s and l hardly change the picture,
-# and a finer f and O are worth their bits.
+# starts near 0, q starts near the base step Q_0 of its group (Q6). The paper's Q_0 of f, s, l and O
+# are 1, 0.001, 0.001 and 0.2. We found ours by trial on tiny scenes, where finer s and l cost bytes
+# and gain nothing, and the other two hardly matter.
 
 
 # %%

@@ -248,7 +248,7 @@ lessons.check_backward("01.3", my_backward, "offsets")
 #
 # A common mistake comes from Scaffold-GS, from which this equation is taken. Scaffold-GS stores the
 # logarithm of $l_a$, whereas $l_a$ here is the scaling itself. The checker recognises the wrong
-# results and names the mistake. `lessons.caught` prints what the checker says of a port with a known
+# results and names the mistake. `lessons.caught` prints what the checker says of a port with a
 # mistake. Later tutorials call `lessons.passes` to check a port that is right.
 
 # %%

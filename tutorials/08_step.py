@@ -53,11 +53,23 @@ assert close(2 * sigmoid(2 * u), 1 + np.tanh(u))
 # ## In code
 # `h [A, I]` goes through $\psi_q$, a network with four outputs. `Q_0 [4]` has one base step for
 # each group of attributes, in the order feature, scale, offset scaling, offsets (f, s, l, O). The
-# result is `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
+# paper's appendix sets them to 1, 0.001, 0.001 and 0.2; the preset `tiny` has 0.25, 0.01, 0.01 and
+# 0.1. On a tiny scene, the paper's finer steps of $s_a$ and $l_a$ cost bytes and gain nothing, and
+# the other two hardly matter (`reference.md` has the figures under choice Q6). The result is
+# `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
 
 # %%
 from p4dgs_ref.equations import mlp, rounding, step
 from p4dgs_ref.random_inputs import random_network
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
+
+
+def base_steps(preset):
+    return [preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O]
+
+
+assert base_steps(PAPER_SYNTHETIC) == [1, 0.001, 0.001, 0.2]
+assert base_steps(TINY) == [0.25, 0.01, 0.01, 0.1]
 
 A, width = 6, 5
 h = rng.normal(size=(A, width))

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can composite splats by hand, and derive the gradient of
 # every opacity in one sweep from back to front. **Before it:** `14_projection`. **Takes** three
-# seconds of machine time on two cores, 35 minutes of reading and 50 of exercises.
+# seconds of machine time on two cores, 40 minutes of reading and 50 of exercises.
 #
 # **Files:** [compositing.py](../p4dgs_ref/splatting/compositing.py),
 # [loop.py](../p4dgs_ref/splatting/loop.py), [fast.py](../p4dgs_ref/splatting/fast.py).
@@ -410,10 +410,16 @@ lessons.show(
 # behind layer $i$ to the pixel:
 # $$S_i = T_i\,(1-\alpha_i)\,B_i = \sum_{j>i} c_j\alpha_jT_j + T_N c_{bg} \quad\Longrightarrow\quad
 #   \bar\alpha_i = T_ic_i - \frac{S_i}{1-\alpha_i}.$$
-# Published kernels and `00_whole_paper` use this formula. Because of its division, an opaque layer
-# would give $0/0$, but below the limit of $0.99$ the formula is as good as the sweep, *if $S_i$ is
-# a sum from the back*. It is tempting to avoid this sum: a kernel that keeps the pixel $C$ of the
-# forward pass can go from front to back and subtract the contributions that it has passed,
+# gsplat 1.5.3 and `00_whole_paper` use this formula. Because of its division, an opaque layer would
+# give $0/0$, but below the limit of $0.99$ the formula is as good as the sweep, *if $S_i$ is a sum
+# from the back*. The kernel of 3DGS sweeps from back to front as we do, but without the background,
+# whose share of the gradient is $-T_N c_{bg}/(1-\alpha_i)$. Both kernels keep only the last
+# transmittance of the forward pass and recover the others, $T_i = T_{i+1}/(1-\alpha_i)$. In the
+# pixel below this costs less than the rounding of the forward pass. (Behind so many opaque layers
+# that $T_N$ is 0 it fails, which `24_hard_cases` shows; the published kernels stop before.)
+#
+# It is tempting to avoid the sum from the back: a kernel that keeps the pixel $C$ of the forward
+# pass can go from front to back and subtract the contributions that it has passed,
 # $S_i = C - \sum_{j\le i} c_j\alpha_jT_j$. Shapes and signs are right, and on ordinary pixels the
 # result is right too. But behind opaque layers $S_i$ is much smaller than $C$, and a small
 # difference between two large numbers has no correct digits.
@@ -439,6 +445,21 @@ def by_division(alpha, gray, T, background):
         return T[:-1] * gray - S / (1 - alpha)
 
 
+def recovered(alpha, T_N):
+    """All transmittances, from the last one and divisions."""
+    T = np.full(len(alpha) + 1, T_N)
+    for i in reversed(range(len(alpha))):
+        T[i] = T[i + 1] / (1 - alpha[i])
+    return T
+
+
+def by_kernel_of_3dgs(alpha, gray, T, background):
+    """The sweep without the background, and T_i and the background's share by division."""
+    T_N = T[-1]
+    slopes = by_sweep(alpha, gray, recovered(alpha, T_N), 0 * background)
+    return slopes - T_N * background / (1 - alpha)
+
+
 def by_subtraction(alpha, gray, T, background):
     """The same with S as the pixel minus everything up to layer i."""
     passed = np.cumsum(alpha * T[:-1] * gray)
@@ -458,11 +479,20 @@ grays = rng.uniform(size=40)
 alphas[[10, 25]] = 0.99
 exact = slopes_of(by_sweep, alphas, grays, np.float64)
 errors = {}
-for formula in (by_sweep, by_division, by_subtraction):
+for formula in (by_sweep, by_division, by_kernel_of_3dgs, by_subtraction):
     single = slopes_of(formula, alphas, grays, np.float32)
     errors[formula.__name__] = np.abs(single - exact) / np.abs(exact)
-assert max(errors["by_sweep"].max(), errors["by_division"].max()) < 1e-4
+for name in ("by_sweep", "by_division", "by_kernel_of_3dgs"):
+    print(f"{name}: at most {errors[name].max():.1e} of the gradient")
+    assert errors[name].max() < 1e-4
 assert errors["by_subtraction"].max() > 0.1
+exact_T = np.cumprod([1, *(1 - alphas)])
+single_T = np.cumprod(np.append(np.float32(1), 1 - alphas.astype(np.float32)))
+by_product = np.abs(single_T / exact_T - 1).max()
+divided_T = recovered(alphas.astype(np.float32), single_T[-1])
+by_division_of_T = np.abs(divided_T / single_T - 1).max()
+print(f"T_i in float32: off by {by_product:.1e}; division adds {by_division_of_T:.1e}")
+assert by_division_of_T < by_product < 1e-5
 opaque = np.array([0.5, 1.0]), np.array([0.3, 0.6])
 assert np.isfinite(slopes_of(by_sweep, *opaque, np.float64)).all()
 assert np.isnan(slopes_of(by_division, *opaque, np.float64)[1])
@@ -471,6 +501,7 @@ assert np.isnan(slopes_of(by_division, *opaque, np.float64)[1])
 figure, ax = plt.subplots(figsize=(9, 4.8))
 ax.semilogy(errors["by_sweep"], "o-", ms=4, label="sweep from the back")
 ax.semilogy(errors["by_division"], "D:", ms=4, label="division, $S_i$ summed from the back")
+ax.semilogy(errors["by_kernel_of_3dgs"], "x", ms=7, label="sweep and $T_i$ by division, as 3DGS")
 ax.semilogy(errors["by_subtraction"], "s--", ms=4, label=r"division, $S_i = C - \dots$")
 ax.axvline(10, color="0.6", lw=1, label="opacity 0.99")
 ax.axvline(25, color="0.6", lw=1)
@@ -479,7 +510,7 @@ lessons.finish(
     xlabel="layer, front to back",
     ylabel=r"relative error of $\bar\alpha_i$ in float32",
     title="Behind nearly opaque layers the subtraction leaves no correct digit",
-    legend={"loc": "right"},
+    legend={"loc": "right", "fontsize": 10},
 )
 lessons.show(figure, "15_compositing_division")
 

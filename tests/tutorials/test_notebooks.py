@@ -40,6 +40,14 @@ def test_notebook_shows_text_and_figures_and_links_somewhere(file):
     assert [link for link in links if not (file.parent / link).exists()] == []
 
 
+def test_the_package_is_asked_for_where_it_is_imported():
+    asks, imports = (
+        {file.stem for file in files if words in file.read_text(encoding="utf-8")}
+        for files, words in ((FILES, "install the package"), (SOURCES, "from p4dgs_ref import"))
+    )
+    assert asks == imports == {source.stem for source in SOURCES} - {"00_whole_paper"}
+
+
 @pytest.mark.parametrize("source", SOURCES, ids=[source.stem for source in SOURCES])
 def test_prose_can_be_shown_by_viewers_of_notebooks(source):
     cells = notebooks.cells(source.read_text(encoding="utf-8"))

@@ -22,7 +22,7 @@ from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Parameters
-from p4dgs_ref.training.presets import TINY
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from tests.sampling import of_the_day
 
 PATH = Path(__file__).resolve().parents[2] / "tutorials" / "00_whole_paper.py"
@@ -49,6 +49,13 @@ def close(mine, theirs, tolerance=1e-12):
 
 
 # --- what the whole loss below does not reach -----------------------------------------------------
+
+
+def test_base_steps_are_those_of_the_presets(whole):
+    paper, tiny = ([p.Q_f, p.Q_s, p.Q_l, p.Q_O] for p in (PAPER_SYNTHETIC, TINY))
+    assert list(whole.Q_0) == tiny
+    said = "The paper's Q_0 of f, s, l and O\n# are {:g}, {:g}, {:g} and {:g}."
+    assert said.format(*paper) in SOURCE
 
 
 # --- the whole loss -------------------------------------------------------------------------------
