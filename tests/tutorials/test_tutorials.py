@@ -195,6 +195,19 @@ def test_all_hours_are_those_of_the_headers():
     for file in (ROOT / "README.md", FOLDER / "README.md"):
         text = " ".join(file.read_text(encoding="utf-8").split())
         assert f"about {reading} hours of reading and {doing} of exercises" in text
+    every = (ROOT / "README.md", FOLDER / "README.md", FOLDER / "reference.md")
+    counts = {
+        re.search(r"(\d+)\]?\s+\[?tutorials", f.read_text(encoding="utf-8"))[1] for f in every
+    }
+    assert counts == {str(len(TUTORIALS))}
+
+
+@pytest.mark.parametrize("path", syllabus.PATHS.values())
+def test_paths_are_complete_and_the_front_page_has_their_minutes(path):
+    of = {tutorial.name[:2]: syllabus.facts(tutorial) for tutorial in TUTORIALS}
+    assert [n for n in path if not set(of[n].after) <= set(path[: path.index(n)])] == []
+    said = f"{', '.join(path)} ({sum(of[n].reading for n in path)} minutes)"
+    assert said in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
 
 
 @EACH

@@ -26,7 +26,10 @@ from tutorials.tools.notebooks import cells
 from tutorials.tools.shared import FOLDER, write_text
 
 CAPTION = "The architecture of P-4DGS; numbers are those of the paper's equations"
-PATH = ("01", "02", "03", "07", "08", "10", "13", "14", "15")  # for four hours of reading
+PATHS = {  # through the ideas of the method, by what a reader knows
+    "you know 3DGS": ("01", "02", "03", "05", "07", "08", "09", "10", "11"),
+    "you do not": ("01", "02", "03", "05", "07", "08", "10", "13", "14", "15"),
+}
 WORDS, LINES = 120, 12  # of prose and of code that are read in a minute: formulas take time
 EACH = 4  # minutes to think about an exercise or a question
 WRITTEN = 3  # lines of a solution that are written in a minute
@@ -135,15 +138,20 @@ def equations_table(folder=FOLDER):
 
 
 def path_table(folder=FOLDER):
-    """A Markdown table of the path of four hours."""
-    return shared.markdown_table(
-        ("tutorial", "what it is about", "minutes"),
-        [
-            (both_forms(t.name), facts(t, folder).title, str(minutes(t.name)[0]))
-            for t in TUTORIALS
-            if t.name[:2] in PATH
-        ],
-    )
+    """A Markdown table of both paths with the minutes of their tutorials, and the sums below."""
+    reading = {t.name[:2]: facts(t, folder).reading for t in TUTORIALS}
+    rows = [
+        (
+            both_forms(t.name),
+            facts(t, folder).title,
+            *(f"{reading[t.name[:2]]}" if t.name[:2] in path else "" for path in PATHS.values()),
+        )
+        for t in TUTORIALS
+        if any(t.name[:2] in path for path in PATHS.values())
+    ]
+    sums = [f"{sum(reading[number] for number in path)}" for path in PATHS.values()]
+    head = ("tutorial", "what it is about", *(f"minutes, if {knows}" for knows in PATHS))
+    return shared.markdown_table(head, [*rows, ("together", "", *sums)])
 
 
 def both_forms(name):
@@ -189,7 +197,7 @@ def index(seconds, folder=FOLDER):
     text = (Path(folder) / "README.md").read_text(encoding="utf-8")
     sections = {
         "architecture": f"![{CAPTION}](pictures/{gallery.DRAWING})",
-        "path": path_table(folder),
+        "paths": path_table(folder),
         "order": order_table(seconds, folder),
         "equations": equations_table(folder),
         "gallery": gallery.gallery(),
