@@ -25,7 +25,7 @@ class Preset(paper.Preset):
 
     is_coded: bool = row(False, True, FLAG, OFF, "networks that pay for their bits (B1)")
     position_bits: int = row(
-        16, 10, between(1, 16), OFF, "positions of few bits per axis, sorted (B2)"
+        16, 10, between(1, 16), "paper", "positions of few bits per axis, sorted (B2)"
     )
     network_ramp: int = row(0, 1000, NOT_NEGATIVE, OFF, "iterations until coded networks pay fully")
     lr_step: tuple = row(

@@ -191,6 +191,8 @@ def test_the_paper_presets_say_where_each_value_comes_from(ok):
     shown = ok("presets paper_synthetic")
     assert sum(line.endswith("  paper") for line in shown.splitlines()) == 11
     assert "lambda_rate" in shown and sources["lambda_rate"] == "HAC (Q12)"
+    coded = ok("presets tiny_coded --json")["tiny_coded"]["sources_of_paper_presets"]
+    assert (coded["position_bits"], coded["body"]) == ("paper", "off, as the paper")
 
 
 def test_the_version_says_which_kernels_are_in_force(run):

@@ -3,7 +3,8 @@
 In a page, `<!-- from records/curve.csv: label d3dgs; scene figure -->` stands before a table or
 before sentences, up to the next blank line or comment, whose numerals come from the rows with these
 values: entries, means over seeds and scenes with half their range, differences and ratios between
-the named labels. `factors` are those of the bytes of all methods at equal PSNR, and the BD-rates.
+the named labels. `factors` are those of the bytes of all methods at equal PSNR, and the BD-rates;
+`factors of p4dgs` are against the paper's design instead of ours.
 """
 
 import re
@@ -100,13 +101,13 @@ def steps(rows, labels):
     return found
 
 
-def factors(rows):
-    """How ours compares with every other curve."""
+def factors(rows, base=CODED):
+    """How one curve compares with every other one, in bytes at equal PSNR."""
     _, curves, _ = curve.read(rows)
     found = set()
     for name, other in curves.items():
         if len(other):
-            row = curve.against(name, curves[CODED], other)
+            row = curve.against(name, curves[base], other)
             found |= {value for value in row.values() if isinstance(value, float)}
             found |= {*map(float, re.findall(r"(\d+\.\d) %", row["bd_rate"]))}
     return found
@@ -115,8 +116,9 @@ def factors(rows):
 def numbers(name, terms, rows, labels):
     """The numbers that a sentence about some labels may quote."""
     own = [row for row in rows if row["label"] in labels]
-    if "factors" in terms:
-        return factors(own)
+    for term in terms:
+        if term.startswith("factors"):
+            return factors(own, *term.split(" of ")[1:])
     if name == "ablate":
         return entries(own) | steps(records.rows(name), labels)
     return entries(own) | (pairs(own) if "label " in " ".join(terms) else set())
@@ -132,7 +134,7 @@ def is_in(numeral, found):
 def unfound(name, terms, text):
     """The numerals of a text that are not in the record, each with its sentence; how many are."""
     terms = terms.split("; ") if terms else []
-    rows = chosen(records.rows(name), [term for term in terms if term != "factors"])
+    rows = chosen(records.rows(name), [term for term in terms if not term.startswith("factors")])
     found, missing = {}, []
     for sentence, labels in sentences(text, [*dict.fromkeys(row["label"] for row in rows)]):
         allowed = found.setdefault(tuple(labels), numbers(name, terms, rows, labels))
