@@ -4,6 +4,7 @@ Their programs print what they show, and their figures, names and links hold.
 """
 
 import configparser
+import json
 import math
 import os
 import re
@@ -13,6 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import imageio.v3 as iio
+import numpy as np
 import pytest
 
 import p4dgs_ref as p4
@@ -327,6 +330,18 @@ def test_names_exist():
     listed = set(re.findall(r"^\| `(\w+)", section("Effects"), re.MULTILINE))
     assert listed <= set(SIMULATOR_EFFECTS) <= set(re.findall(r"`(\w+)`", section("Effects")))
     assert "bouncing" in packaged_scenes()
+
+
+def test_the_scene_of_the_page_can_be_read(tmp_path):
+    (text,) = re.findall(r"```json\n(.*?)```", section("Your own scene"), re.DOTALL)
+    for split in ("train", "test"):
+        (tmp_path / f"transforms_{split}.json").write_text(text)
+    (picture,) = (frame["file_path"] for frame in json.loads(text)["frames"])
+    (tmp_path / picture).parent.mkdir()
+    iio.imwrite(tmp_path / f"{picture}.png", np.zeros((6, 8, 3), np.uint8))
+    (view,) = load_scene(tmp_path).train
+    assert f"/{view.name}.png" in section("Your own scene")
+    assert np.allclose(view.camera.T, (0, 0, 4)) and view.time == 0  # the origin is before it
 
 
 def plain(value):
