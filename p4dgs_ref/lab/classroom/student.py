@@ -149,7 +149,7 @@ class Student(Adapter):
     def __init__(self, path):
         command = [sys.executable, "-c", START, str(PACKAGE.parent), str(path)]
         super().__init__(shlex.join(command))
-        self.types = {}  # case -> {output or gradient: its type}
+        self.types = {}  # case -> {output or gradient: "of type float32"}
         self.end = time.monotonic() + ALL_SECONDS
 
     def part(self, name):
@@ -163,7 +163,9 @@ class Student(Adapter):
             raise PortError("hung", f"not asked, because {ALL_SECONDS} s are over")
         self.timeout = CASE_SECONDS if "id" in request else START_SECONDS
         reply = super()._exchange(request, field)
-        self.types[request.get("id")] = reply.get("types")
+        types = reply.get("types")  # from a student's process, which may say anything
+        named = types.items() if isinstance(types, dict) else ()
+        self.types[request.get("id")] = {name: f"of type {kind!s:.40}" for name, kind in named}
         return reply
 
 
