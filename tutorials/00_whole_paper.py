@@ -568,9 +568,8 @@ def render_loss(image, y):
 #
 # Two networks predict the steps q, the means mu and the standard deviations sigma. They read a grid
 # of bits at the anchor's position; networks, positions and grid come first in the file. As psi_q
-# starts near 0, q starts near the base step Q_0 of its group (Q6). The paper's Q_0 of f, s, l and O
-# are 1, 0.001, 0.001 and 0.2. We found ours by trial on tiny scenes, where finer s and l cost bytes
-# and gain nothing, and the other two hardly matter.
+# starts near 0, q starts near its group's base step Q_0 (Q6). The paper's Q_0 of f, s, l, O are 1,
+# 0.001, 0.001 and 0.2. Ours were found by trial: finer s and l cost bytes here and gain nothing.
 
 
 # %%

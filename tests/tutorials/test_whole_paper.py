@@ -54,8 +54,8 @@ def close(mine, theirs, tolerance=1e-12):
 def test_base_steps_are_those_of_the_presets(whole):
     paper, tiny = ([p.Q_f, p.Q_s, p.Q_l, p.Q_O] for p in (PAPER_SYNTHETIC, TINY))
     assert list(whole.Q_0) == tiny
-    said = "The paper's Q_0 of f, s, l and O\n# are {:g}, {:g}, {:g} and {:g}."
-    assert said.format(*paper) in SOURCE
+    said = "The paper's Q_0 of f, s, l, O are {:g}, {:g}, {:g} and {:g}."
+    assert said.format(*paper) in " ".join(SOURCE.replace("\n#", " ").split())
 
 
 # --- the whole loss -------------------------------------------------------------------------------
