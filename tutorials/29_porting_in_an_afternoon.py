@@ -84,7 +84,7 @@ assert not node or checked("", "", "rounding hash_grid covariance compositing").
 # %% [markdown]
 # ## Backward by hand
 # **Step 5: the gradients.** A viewer needs none, and the port has none. It says so in its first
-# line, `"gradients": false`, and lists its 29 subjects there. The checker then judges the outputs
+# line, `"gradients": false`, and lists its 30 subjects there. The checker then judges the outputs
 # of these alone, and its report names what the port lacks, so that nobody takes it for a trainer.
 #
 # Outputs alone say nothing about a backward. Eq. (1), $x = x_a + O_a\,l_a$, has the gradient
@@ -108,7 +108,7 @@ lessons.caught(
 # are run, which case must fail first, and how many of their cases fail. The last mistake was really
 # made, when the code was shortened. A splat that nothing cuts has an infinite reach, and where it
 # is also infinitely wide, its conic is 0, and infinity times zero is NaN. No picture of a trained
-# model shows this; the case `equal_depths` and eight others do.
+# model shows this; the case `equal_depths` and nine others do.
 
 # %%
 MISTAKES = {
@@ -131,7 +131,7 @@ MISTAKES = {
         "v * W[j * I + i]",
         "mlp opacity color",
         "mlp/ordinary",
-        7,
+        8,
     ),
     "quaternions are (x, y, z, w)": (
         "rotationMatrix(w, x, y, z)",
@@ -145,7 +145,7 @@ MISTAKES = {
         "const e_2 = v + 0.5 - v_0",
         "compositing",
         "compositing/ordinary",
-        15,
+        18,
     ),
     "numbers are shifted in 32 bits": (
         "Math.floor((v + Math.floor(2 ** s / 2)) / 2 ** s)",
@@ -159,7 +159,7 @@ MISTAKES = {
         "const tall = Math.sqrt((reach * A) / (A * C - B * B));",
         "compositing",
         "compositing/equal_depths",
-        9,
+        10,
     ),
 }
 for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).items():
@@ -170,7 +170,7 @@ for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).
 
 # %% [markdown]
 # Read the first divergence and leave the rest. In the whole check, weights read by columns fail in
-# 55 cases, but the first is `mlp`, the only one to mend. Three mistakes the checker knows by name,
+# 59 cases, but the first is `mlp`, the only one to mend. Three mistakes the checker knows by name,
 # and it explains what the port does. The hash is the opposite: a single case fails, one that was
 # made for it, and no picture would ever have told.
 

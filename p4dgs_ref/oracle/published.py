@@ -26,7 +26,12 @@ LEVELS = {
     "L4": "the pipeline",
 }
 # Groups of subjects that a port may leave out, with their level.
-GROUPS = {"baselines": "level L1", "beyond": "level L1", "inside": "levels L2, L4"}
+GROUPS = {
+    "baselines": "level L1",
+    "beyond": "level L1",
+    "inside": "levels L2, L4",
+    "pictures": "level L3",
+}
 
 
 class Golden(NamedTuple):
@@ -89,7 +94,7 @@ def names(of=""):
     With one of the subjects, or with "codec", the ids of its cases.
     """
     cases = {"codec": stream_rows(), **{key: row["cases"] for key, row in subjects().items()}}
-    return [row["id"] for row in cases[of]] if of in cases else sorted([*cases, *GROUPS])
+    return [row["id"] for row in cases[of]] if of in cases else sorted({*cases, *GROUPS})
 
 
 def meant(name, known):

@@ -98,6 +98,13 @@ function moved(gaussians, { x_t, s_t, r_t }) {
   return { x_t: real([N, 3], x_t), s_t: real([N, 3], s_t), r_t: real([N, 4], r_t) };
 }
 
+/** The image of a model before a case's camera, at its time. */
+function drawn(model, tensors, { t }) {
+  const camera = cameraOf(tensors);
+  const [width, height] = camera.size;
+  return { image: real([height, width, 3], p4dgs.render(model, camera, t)) };
+}
+
 /** What the port computes of every subject that it has: outputs from tensors and settings. */
 const PORT = {
   tanh: ({ y }) => ({ alpha: real(y.shape, y.data.map(Math.tanh)) }),
@@ -229,10 +236,10 @@ const PORT = {
   frames(tensors, settings) {
     if (settings.renderer !== "exact") return { skip: `no renderer "${settings.renderer}"` };
     const model = modelOf(tensors, { ...settings, background: tensors.background.data });
-    const camera = cameraOf(tensors);
-    const [width, height] = camera.size;
-    return { image: real([height, width, 3], p4dgs.render(model, camera, settings.t)) };
+    return drawn(model, tensors, settings);
   },
+  pictures: (tensors, settings) =>
+    drawn(p4dgs.decode(Uint8Array.from(tensors.stream.data)), tensors, settings),
 };
 
 /** The arrays of a decoded file, as published.py describes them. */

@@ -44,7 +44,6 @@ EQUIVALENT = {
     "projection:backward:swap-arguments:12": SYMMETRIC,
     "projection:halved:int:1": CULLED,
     "projection:cross:swap-items:5": "n and both products with it change their signs",
-    "compositing:alphas:int:5": "positive by rounding alone, which is part of every S",
     "sh_color:backward:gte-gt:1": (
         "differs where the colour is exactly 0, which the last digit of a constant decides"
     ),

@@ -208,10 +208,20 @@ def pixels_vjp(pixels, image_bar, **inputs):
     return dict(zip(("A", "T", "A_bar", "T_bar"), layers[(..., *pixels.T[::-1])])), no_pullback
 
 
+def definite(inputs):
+    """Return the inputs without splats whose exponent can be positive.
+
+    The package computes conics in float64, in which rounding makes no such splats, and its
+    renderers do not look for them.
+    """
+    a, b, c = inputs["conic"].T
+    return {**inputs, "visible": inputs["visible"] & (a * c > b * b)}
+
+
 def by_monomials(inputs, cotangents):
     """The answer of the package's `fast`, a right renderer that loses digits by its polynomials."""
     (image, T, last), _ = composite(**inputs)
-    wide = cast(inputs, np.float64)
+    wide = cast(definite(inputs), np.float64)
     settings = PAPER._replace(dtype=image.dtype.name)
     (image, T), saved = fast.forward(**wide, settings=settings)
     bars = fast.backward(saved, cotangents["image_bar"])
@@ -373,6 +383,27 @@ def small_splats():
     for (name, seed, drawn), depth, flags in SMALL:
         rng = np.random.default_rng(seed)
         yield name, splats(rng, *drawn, depth(rng, drawn[0])), flags
+    yield "both_clamps", clamped_splats(), ("clamped",)
+
+
+def clamped_splats():
+    """Return three splats: of exponents above 0, of an opacity above 0.99, and an ordinary one.
+
+    The first is as faint that neither who skips it, as the published kernel does, nor who takes 0
+    for its exponent draws it.
+    """
+    return dict(
+        mean2d=np.array([[1.5, 1.5], [1, 1], [2, 1]]),
+        cov2d=single([[100, -99, 100], [2.6, -0.5, 2.1], [5.2, 0.9, 3.5]]),
+        conic=single([[0.25, 0.5, 0.25], [0.4, 0.1, 0.5], [0.2, -0.05, 0.3]]),
+        alpha=single([0.0035, 1, 0.6]),
+        color=single([[0.2, 0.9, 0.5], [0.9, 0.3, 0.1], [0.4, 0.6, 0.8]]),
+        depth=np.array([0.5, 1, 2]),
+        visible=np.ones(3, bool),
+        background=single([0.85, 0.15, 0.4]),
+        height=3,
+        width=4,
+    )
 
 
 @cache
@@ -387,9 +418,16 @@ LISTED = ("mean2d", "cov2d", "depth", "visible", "height", "width")
 
 def lists_cases():
     for name, inputs, flags in small_splats():
-        if name != "opaque":
+        if name not in ("opaque", "both_clamps"):
             yield Case(name, {key: inputs[key] for key in LISTED}, flags)
     yield Case("sorting", {key: many_splats()[key] for key in LISTED}, ("order",))
+    one = dict(
+        mean2d=np.array([[57.25, 5]]),
+        cov2d=np.array([[2.5, 0.5, 1.5]]),
+        depth=np.ones(1),
+        visible=np.ones(1, bool),
+    )
+    yield Case("one_row_of_tiles", dict(one, height=10, width=60), ("single",))
 
 
 def image_bars(rng, inputs):
@@ -409,7 +447,7 @@ def kernel_cases():
 def pixels_cases():
     """The cases of `kernel` at a few pixels, x before y.
 
-    Of those of `opaque`, one has a clamped splat, and five end before their last splat.
+    Of those of `opaque`, five end before their last splat.
     """
     for case in kernel_cases():
         i, rng = case.inputs, np.random.default_rng(281)

@@ -123,15 +123,18 @@ FRONT = look_at((1.1, -1.9, 0.9), (0.05, 0, -0.45), 38.0, 33.0, 40, 28, c_x=21.3
 SIDE = look_at((-1.6, -1.2, 0.4), (0, 0.05, -0.4), 33.0, 37.0, 40, 28, c_x=17.2, c_y=14.6)
 
 
-def frames_cases():
-    m = golden_model()
-    networks = flat_networks({name: m.networks[name] for name in RENDERING})
-    common = dict(
+def drawn_from(m):
+    """The inputs of `frames_vjp` that a decoded model gives."""
+    return dict(
         **m.anchors._asdict(),
         background=m.background,
-        **networks,
+        **flat_networks({name: a for name, a in m.networks.items() if name in RENDERING}),
         **{name: getattr(m.design, name) for name in ("tau_alpha", "effects", "L_x", "L_t")},
     )
+
+
+def frames_cases():
+    common = drawn_from(golden_model())
     for name, camera in (("front", FRONT), ("side", SIDE)):
         for t in (0.0, 0.35, 1.0):
             yield Case(

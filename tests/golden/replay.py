@@ -313,12 +313,37 @@ def all_inputs():
     state = rounded(replay(**inputs["growing"])[0])
     inputs["stage_switch"] = steps_from(state, 4, 10, np.random.default_rng(484))
     inputs["ten_steps"] = steps_from(start, 0, 10, np.random.default_rng(500))
+    inputs["early_stages"] = early_inputs(start)
     return inputs
+
+
+def early_inputs(start):
+    """Return the inputs of a step of stage 1 and one of stage 2, after which an anchor dies.
+
+    After 200 views the limit is 6 units of opacity. The second anchor has 9.5, but most of them
+    from a masked child. The fourth has more than 7, but no child has 6 by itself. One scale is
+    above its limit. The first level of growing draws no candidates, so the others are not looked
+    at, although theirs would be taken.
+    """
+    state = {name: a.copy() for name, a in start.items()}
+    state["visits"] += 198
+    state["opacity"] += 9
+    state["opacity"][1], state["mask"][1] = (0.5, 9), (True, False)
+    state["opacity"][3] = 3.75, 3.5
+    state["log_s"][5, 1] = 0.25
+    inputs = steps_from(state, 2, 4, np.random.default_rng(502))
+    draws = [np.full(state["mask"].size, number) for number in (0.25, 0.875, 0.9375)]
+    return {**inputs, "stage_ends": (3, 4, 6, 10), "draws": draws}
 
 
 def event_cases():
     yield Case("growing", all_inputs()["growing"], ("replay",))
     yield Case("stage_switch", all_inputs()["stage_switch"], ("replay", "masked"))
+
+
+def training_cases():
+    yield from event_cases()
+    yield Case("early_stages", all_inputs()["early_stages"], ("replay", "masked", "clamped"))
 
 
 def whole_cases():
@@ -378,6 +403,6 @@ SUBJECTS = (
     subject(
         "training_steps", "state, views, noise -> state after every step", event_cases, replay_steps
     )._replace(shapes=shapes() | each_step(OF_STATE), group="inside"),
-    subject("training", "state, views, noise -> state after an event", event_cases),
+    subject("training", "state, views, noise -> state after an event", training_cases),
     subject("training_whole", "state, views, noise -> state after ten steps", whole_cases),
 )

@@ -144,6 +144,7 @@ def subjects():
     from tests.golden import (
         encoding,
         kernel,
+        pictures,
         pipeline,
         replay,
         scalars,
@@ -161,6 +162,7 @@ def subjects():
         *stages_coding.SUBJECTS,
         *kernel.SUBJECTS,
         *encoding.SUBJECTS,
+        *pictures.SUBJECTS,
         *pipeline.SUBJECTS,
         *replay.SUBJECTS,
     ]

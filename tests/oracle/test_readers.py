@@ -336,6 +336,7 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         set(BASELINE_EQUATIONS),
         {"weight_bits"},
         {"trace_steps", "training_steps", "kernel_pixels"},
+        {"pictures"},
         {"offsets"},
     ]
 

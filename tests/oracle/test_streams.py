@@ -14,7 +14,9 @@ from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
-from p4dgs_ref.oracle.ports import FolderPort
+from p4dgs_ref.oracle.ports import FolderPort, PortError
+from tests.golden.mistakes import MISTAKES
+from tests.golden.mistakes.__main__ import answers
 from tests.golden.vectors import stream_records
 from tests.sampling import few
 
@@ -267,6 +269,27 @@ def test_who_accepts_or_refuses_all_fails(option, failing):
     assert [r.id[6:] for r in results if not r.required] == left
     failed = [r.id[6:] for r in results if r.verdict == "fail"]
     assert failed == [name for name in failing if name not in left]
+
+
+def test_a_picture_shows_what_the_arrays_do_not():
+    """Of a decoder whose arrays are right, and whose networks overwrite each other's output."""
+    [mistake] = (m for m in MISTAKES if m.subject == "pictures")
+    port = Decoder("")
+    port.run = lambda case: answers(mistake, case)
+    report = checker.check_port(port, ["L3"], ["codec", "pictures"])
+    assert report.levels()["L3"]["passed"] == len(GOOD + BAD)
+    assert [r.id for r in report.results if r.wrong] == ["pictures/full", "pictures/static"]
+    assert mistake.description in report.first.explanation
+
+    def no_renderer(case):
+        stream = (published.FOLDER / f"{case.name}.p4dgs").read_bytes()
+        assert case.inputs()["stream"].tobytes() == stream
+        raise PortError("skipped", "does not draw")
+
+    port.run = no_renderer
+    report = checker.check_port(port, ["L3"], "pictures")
+    assert not any(r.wrong for r in report.results)
+    assert "pictures: 2 cases left out, which is allowed" in str(report)
 
 
 @pytest.mark.slow

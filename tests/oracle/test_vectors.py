@@ -85,10 +85,10 @@ def test_adding_cases_leaves_the_published_ones_as_they_are(monkeypatch):
 
 
 def test_only_what_is_not_released_is_computed_anew(monkeypatch):
-    with pytest.raises(ValueError, match="kernel: cases since 1.1 keep their bytes"):
-        vectors.refuse_released(["kernel", "offsets"])
+    with pytest.raises(ValueError, match="kernel_many: cases since 1.1 keep their bytes"):
+        vectors.refuse_released(["kernel_many", "offsets"])
     monkeypatch.setattr(vectors, "LATEST", "1.1")  # before its release
-    vectors.refuse_released(["kernel", "training"])
+    vectors.refuse_released(["kernel_many", "training_whole"])
 
 
 def test_a_tolerance_may_grow_and_the_tensors_stay(monkeypatch):

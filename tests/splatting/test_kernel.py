@@ -11,6 +11,7 @@ from p4dgs_ref.splatting.tiles import bin_splats
 from tests.equations import adjoint
 from tests.golden import kernel
 from tests.golden.mistakes.kernel import ruled
+from tests.golden.mutate import rewritten
 from tests.golden.subjects import subjects
 from tests.oracle.answers import Port
 from tests.sampling import few
@@ -44,7 +45,7 @@ def named(outputs, bars):
 def arguments(i):
     """The inputs of a case as `loop` and `fast` take them."""
     names = ("mean2d", "cov2d", "conic", "alpha", "color", "depth", "visible", "background")
-    return *(i[name] for name in names), i["height"], i["width"]
+    return *(kernel.definite(i)[name] for name in names), i["height"], i["width"]
 
 
 # --- the package's renderers, under the setting `paper` -----------------------------------------
@@ -82,6 +83,20 @@ def test_the_lists_are_those_of_the_package(case):
         PAPER,
     )
     assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.row)
+
+
+@pytest.mark.parametrize("case", SPLATS, ids=lambda case: case.id)
+def test_a_port_may_skip_a_splat_of_positive_exponent(case):
+    """As the published kernel does, instead of taking 0 for the exponent."""
+
+    def skipped(power, _):
+        return np.where(power > 0, -np.inf, power)
+
+    change = {"np.exp(np.minimum(": "np.exp(skipped("}
+    vjp = rewritten("tests.golden.kernel", change, skipped=skipped)["kernel_vjp"]
+    inputs, bars = wide(case)
+    outputs, pullback = vjp(**inputs)
+    assert verdict(case, named(outputs, pullback(**bars)), np.float64) == []
 
 
 # --- within a pixel -----------------------------------------------------------------------------

@@ -29,14 +29,14 @@ CASES = [c for key in ("training", "training_whole") for c in published.cases(ke
 EVERY_STEP = published.cases("training_steps")
 DESIGN = design_of(replay.PRESET, MODEL_EFFECTS)
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")
-FROM_STAGE_4 = ("psi_p", "psi_q", "grid")
+FIRST_STAGE = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
 # --- the same steps in plain loops --------------------------------------------------------------
 def rate(i, name, n):
     """The learning rate of an array in iteration n (Q17)."""
     stage = 1 + sum(n >= end for end in i["stage_ends"][:3])
-    if (name == "x_a" and stage == 4) or (name in FROM_STAGE_4 and stage < 4):
+    if (name == "x_a" and stage == 4) or stage < FIRST_STAGE.get(name, 1):
         return 0.0
     first, last = i[LEARNING_RATES[name]]
     share = min(max((n - i["decay_from"]) / (i["stage_ends"][-1] - i["decay_from"]), 0), 1)

@@ -69,6 +69,38 @@ def cases():
         visible=np.ones(2, bool),
     )
     yield Case("clamp_of_the_product", dict(**bright, **view), ("clamped",))
+    # By hand: the exponents are -ln 2 and ln 2, and the second one, which only a conic has that
+    # rounding spoilt, counts as 0. What its gradient is, the cotangents do not ask.
+    reach, g = 2 * np.log(2), np.array([1.0, 2.0, -4.0])
+    yield Case(
+        "positive_exponent",
+        dict(
+            mean2d=np.array([[0.5, reach]]),
+            conic=np.array([[0.0, 1.0, 0.0]]),
+            alpha=np.array([0.5]),
+            color=limit["color"],
+            depth=np.ones(1),
+            visible=np.ones(1, bool),
+            background=np.zeros(3),
+            height=1,
+            width=2,
+        ),
+        ("clamped", "single"),
+        smooth=False,
+        cotangents={
+            "image_bar": np.array([[g, 0 * g]]),
+            "transmittance_bar": np.array([[0.5, 0.0]]),
+        },
+        expected={
+            "image": np.array([[[0.25], [0.5]]]) * limit["color"],
+            "transmittance": np.array([[0.75, 0.5]]),
+            "alpha_bar": np.array([0.25]),
+            "color_bar": 0.25 * g[None],
+            "mean2d_bar": np.array([[-reach / 8, -0.0625]]),
+            "conic_bar": np.array([[-0.015625, -reach / 16, -(reach**2) / 16]]),
+            "background_bar": 0.75 * g,
+        },
+    )
     n = 200  # alpha 0.99 each: the second layer shows 1 %, the third 1e-4
     wall = dict(
         mean2d=np.zeros((n, 2)),

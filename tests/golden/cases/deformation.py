@@ -17,4 +17,6 @@ def cases():
     for name, heads in (("moves_only", (3, 0, 0)), ("turns_only", (0, 0, 4)), ("rests", (0, 0, 0))):
         yield Case(name, dict(x=x, t=t, **random_field(rng, 2, 1, 6, 5, heads=heads)), ("off",))
     yield Case("paper_frequencies", dict(x=x, t=t, **random_field(rng, 10, 6, 8, 6)), ("extreme",))
+    square = random_field(np.random.default_rng(11), 0, 0, 4, 4)
+    yield Case("square_trunk", dict(x=x[:2], t=t, **square), ("ordinary",))
     yield Case("no_trunk", dict(x=x, t=t, **random_field(rng, 1, 2)), ("single",))

@@ -47,6 +47,13 @@ def cases():
         ("zero",),
     )
     yield Case("no_anchor", dict(x_a=x_a[:0], **box, grids=dense, **levels), ("empty",))
+    spare = np.random.default_rng(15)
+    roomy = [spare.uniform(-0.9, 0.9, size=(T, 1)) for T in (11, 13)]
+    yield Case(
+        "rows_to_spare",
+        dict(x_a=x_a[:3], **box, grids=roomy, resolutions=(("xyz", 2), ("xz", 3))),
+        ("single",),
+    )
     # by hand: weights 3/8 1/8 3/8 1/8; zero of either sign is +1; gradients end beyond +-1, not on
     # it
     yield Case(

@@ -11,6 +11,7 @@ def cases():
     rng = np.random.default_rng(2)
     weights, biases = random_network(rng, 4, 6, 5, 2)
     one = [np.ones((1, 1))] * 2
+    square = random_network(np.random.default_rng(3), 3, 3, 3, 2)
     return [
         Case("ordinary", dict(x=rng.normal(size=(7, 4)), weights=weights, biases=biases)),
         Case("no_rows", dict(x=np.zeros((0, 4)), weights=weights, biases=biases), ("empty",)),
@@ -18,6 +19,11 @@ def cases():
             "one_layer",
             dict(x=rng.normal(size=(7, 4)), weights=weights[:1], biases=biases[:1]),
             ("single",),
+        ),
+        Case(
+            "square_layers",
+            dict(x=rng.normal(size=(4, 3)), weights=square[0], biases=square[1]),
+            ("ordinary",),
         ),
         Case(
             "at_the_kink",

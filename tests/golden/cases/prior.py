@@ -11,8 +11,13 @@ def cases():
     rng = np.random.default_rng(17)
     weights, biases = random_network(rng, 5, 7, 22)
     inputs = dict(h=rng.normal(size=(6, 5)), weights=weights, biases=biases, widths=(2, 3, 3, 3))
+    unequal = random_network(np.random.default_rng(18), 2, 12)
     return [
         Case("ordinary", inputs),
+        Case(
+            "unequal_groups",
+            dict(h=inputs["h"][:4, :2], weights=unequal[0], biases=unequal[1], widths=(2, 1, 3)),
+        ),
         Case("no_anchor", {**inputs, "h": inputs["h"][:0]}, ("empty",)),
         # by hand: groups of 1 and 2, output (mu_0, raw_0, mu_1, mu_2, raw_1, raw_2); raw on, beyond
         # and inside its clamp

@@ -10,6 +10,7 @@ from tests.golden.mistakes.kit import (
     known,
     no_gradient,
     port,
+    squares_transposed,
     surgery,
 )
 from tests.golden.mistakes.motion import exchanged, exchanged_bar
@@ -236,6 +237,13 @@ DEFORMATION_D3DGS = [
         "the heads of position and scale are exchanged",
         outputs=exchanged,
         outputs_bar=exchanged_bar,
+    ),
+    known(
+        "deformation_d3dgs",
+        "d3dgs-square-transposed",
+        "square weights are transposed: as PyTorch stores them, or twice",
+        inputs={"weights": squares_transposed},
+        inputs_bar={"weights": squares_transposed},
     ),
     known(
         "deformation_d3dgs",
@@ -727,8 +735,16 @@ CONDITIONAL = [
 # --- G3 -----------------------------------------------------------------------------------------
 
 
-def shown(out):
-    return out["weight"] > 0.05
+def cut(limit):
+    """Weights up to a limit count as 0."""
+
+    def kept(tree, out):
+        return {name: a * (out["weight"] > limit) for name, a in tree.items()}
+
+    return dict(
+        outputs=lambda out, _: kept(out, out),
+        outputs_bar=lambda bars, out, _: kept(bars, out),
+    )
 
 
 MARGINAL = [
@@ -772,8 +788,13 @@ MARGINAL = [
         "marginal",
         "marginal-cut",
         "weights up to 0.05 count as 0; the renderer leaves such Gaussians out, not the equation",
-        outputs=lambda out, _: {name: a * shown(out) for name, a in out.items()},
-        outputs_bar=lambda bars, out, _: {name: bar * shown(out) for name, bar in bars.items()},
+        **cut(0.05),
+    ),
+    known(
+        "marginal",
+        "marginal-smaller-cut",
+        "weights up to 0.02 count as 0",
+        **cut(0.02),
     ),
     known(
         "marginal",

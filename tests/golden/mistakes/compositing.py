@@ -210,6 +210,18 @@ SUM = [
     ),
     edited(
         "compositing",
+        "compositing-exponent-not-clamped",
+        "the exponent is not clamped at 0: far along a needle rounding makes it positive",
+        {"np.exp(np.minimum(power, 0))": "np.exp(power)"},
+    ),
+    edited(
+        "compositing",
+        "compositing-positive-skipped",
+        "a splat whose exponent is above 0 is skipped, as in the published kernel",
+        {"np.exp(np.minimum(power, 0))": "np.exp(power) * (power <= 0)"},
+    ),
+    edited(
+        "compositing",
         "compositing-early-stop",
         "a pixel is finished where T would pass 1e-4, as in the published kernel",
         {

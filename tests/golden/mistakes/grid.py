@@ -128,8 +128,22 @@ HASH_GRID = [
     edited(
         "hash_grid",
         "hash-grid-never-dense",
-        "levels that fit their table are hashed as well, or those that fill it exactly (< for <=)",
+        "levels that fit their table are hashed as well",
         {"if res**D <= table:": "if False:"},
+        helper=NODES,
+    ),
+    edited(
+        "hash_grid",
+        "hash-grid-dense-strict",
+        "levels that fill their table exactly are hashed as well (< for <=)",
+        {"if res**D <= table:": "if res**D < table:"},
+        helper=NODES,
+    ),
+    edited(
+        "hash_grid",
+        "hash-grid-dense-if-full",
+        "only levels whose nodes fill their table are stored densely, not those that leave rows",
+        {"if res**D <= table:": "if res**D == table:"},
         helper=NODES,
     ),
     edited(

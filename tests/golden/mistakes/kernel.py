@@ -30,6 +30,10 @@ RULES = {
         "the radius is rounded to the nearest pixel, not up",
         {"np.ceil(a.dtype.type(3)": "np.round(a.dtype.type(3)"},
     ),
+    "lists-limits-exchanged": (
+        "the first tile is clamped to the number of rows in x and to that of columns in y",
+        {"np.clip(low, 0, (columns, rows))": "np.clip(low, 0, (rows, columns))"},
+    ),
     "kernel-no-stop": (
         "a pixel never ends: there is no stop at T < 1e-4",
         {"(T * (1 - layer) >= STOP)": "True"},
@@ -44,6 +48,18 @@ RULES = {
     "kernel-not-masked": (
         "alphas below 1/255 are drawn",
         {"np.where(A < dtype.type(MASK), 0, A)": "A"},
+    ),
+    "kernel-exponent-not-clamped": (
+        "a splat whose exponent is above 0 is drawn with more than its alpha",
+        {"np.exp(np.minimum(": "np.exp((", "b * e_x * e_y, 0))": "b * e_x * e_y))"},
+    ),
+    "pixels-no-clamp": (
+        "the A of a splat at a pixel is not clamped at 0.99",
+        {"np.minimum(raw, dtype.type(ALPHA_MAX))": "raw"},
+    ),
+    "pixels-other-clamp": (
+        "the A of a splat at a pixel is clamped at 0.999 instead of 0.99",
+        {"np.minimum(raw, dtype.type(ALPHA_MAX))": "np.minimum(raw, dtype.type(0.999))"},
     ),
     "kernel-clamp-blocks-gradient": (
         "the clamp of alpha at 0.99 stops the gradient, as autodiff of a minimum does",
@@ -104,6 +120,7 @@ def reaching(rows, number, columns, mean2d, conic, alpha):
     return rows[(opacity >= MASK).any(axis=(1, 2))]
 
 
+SUBJECT_OF = {"lists": "tile_lists", "kernel": "kernel", "pixels": "kernel_pixels"}
 DOWN, ACROSS = np.mgrid[:TILE, :TILE]
 
 
@@ -114,11 +131,13 @@ def ruled(id):
 
 
 def by_rule(id, description):
+    place = id.partition("-")[0]
+
     def run(given, cotangents):
-        outputs, pullback = ruled(id)[f"{id.split('-')[0]}_vjp"](**given)
+        outputs, pullback = ruled(id)[f"{place}_vjp"](**given)
         return outputs, pullback(**cotangents)
 
-    return surgery("tile_lists" if id.startswith("lists") else "kernel", id, description, run)
+    return surgery(SUBJECT_OF[place], id, description, run)
 
 
 def in_ndc(bars, given):

@@ -145,6 +145,11 @@ def first_rows(order):
     )
 
 
+def squares_transposed(weights, *_):
+    """The transpose of every weight whose shape does not give it away."""
+    return [W.T if W.shape[0] == W.shape[1] else W for W in weights]
+
+
 def last_columns(order):
     """The changes that split a network's output in another order.
 

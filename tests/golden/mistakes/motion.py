@@ -13,6 +13,7 @@ from tests.golden.mistakes.kit import (
     no_gradient,
     port,
     relu,
+    squares_transposed,
     surgery,
 )
 
@@ -201,6 +202,13 @@ DEFORMATION = [
         "the heads have no bias",
         inputs=lambda given: headless(given, np.zeros_like),
         inputs_bar=lambda bars, given: headless(bars, np.zeros_like),
+    ),
+    known(
+        "deformation",
+        "deformation-square-transposed",
+        "square weights are transposed: as PyTorch stores them, or twice",
+        inputs={"weights": squares_transposed},
+        inputs_bar={"weights": squares_transposed},
     ),
     known(
         "deformation",

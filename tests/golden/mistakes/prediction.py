@@ -9,6 +9,7 @@ from tests.golden.mistakes.kit import (
     hac_order,
     known,
     no_gradient,
+    squares_transposed,
     without,
 )
 
@@ -62,6 +63,12 @@ OFFSETS = [
         "offsets-mean-gradient",
         "the gradient of x_a is the mean over the children instead of the sum",
         inputs_bar=lambda bars, given: {**bars, "x_a": bars["x_a"] / given["O_a"].shape[1]},
+    ),
+    edited(
+        "offsets",
+        "offsets-last-child",
+        "the gradient of x_a is that of the last child alone instead of the sum over the children",
+        {'"x_a": x_bar.sum(axis=1)': '"x_a": x_bar[:, -1]'},
     ),
     known(
         "offsets",
@@ -463,6 +470,13 @@ MLP = [
         "the weights are read column by column instead of row by row",
         inputs={"weights": lambda weights: [W.reshape(W.shape[::-1]).T for W in weights]},
         inputs_bar={"weights": lambda bars, _: [bar.T.reshape(bar.shape) for bar in bars]},
+    ),
+    known(
+        "mlp",
+        "mlp-square-transposed",
+        "square weights are transposed: as PyTorch stores them, or twice",
+        inputs={"weights": squares_transposed},
+        inputs_bar={"weights": squares_transposed},
     ),
     known(
         "mlp",

@@ -9,6 +9,7 @@ from tests.golden.mistakes.kit import (
     NotApplicable,
     bars_of,
     edited,
+    given_as,
     known,
     last_columns,
     no_gradient,
@@ -459,6 +460,12 @@ PRIOR = [
                 "return np.arange(len(mu)), len(mu) + np.arange(len(mu))"
             ),
         },
+    ),
+    known(
+        "prior",
+        "prior-widths-reversed",
+        "the widths of the groups after f are taken in the opposite order: O, l, s",
+        **given_as(widths=lambda given: (given["widths"][0], *given["widths"][:0:-1])),
     ),
     known(
         "prior",

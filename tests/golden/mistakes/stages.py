@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from p4dgs_ref.designs import decode
 from p4dgs_ref.equations import deformation, deformed
 from tests.golden.mistakes.kit import given_as, known, port, surgery
+from tests.golden.pipeline import drawn_from, frames_vjp
 from tests.golden.subjects import subjects
 
 
@@ -44,7 +46,26 @@ def mask_multiplied(given, cotangents):
     return {name: a[kept] for name, a in out.items()}, pullback(**whole)
 
 
+def colors_overwritten(given, _):
+    """The last outputs of psi_r stand in the memory from which those of psi_c are read."""
+    view = {name: value for name, value in given.items() if name != "stream"}
+    drawn = drawn_from(decode(given["stream"].tobytes()))
+    layers, rows = [*drawn["psi_r_weights"]], len(drawn["psi_c_weights"][0])
+    columns = 3 * drawn["mask"].shape[1]
+    layers[-1] = layers[-1][:, :columns]
+    layers[0] = np.pad(layers[0], ((0, rows - len(layers[0])), (0, 0)))  # psi_r may see no view
+    *biases, last = drawn["psi_r_biases"]
+    wrong = {"psi_c_weights": layers, "psi_c_biases": [*biases, last[:columns]]}
+    return frames_vjp(**drawn | wrong, **view, renderer="exact")[0], {}
+
+
 RENDERING = [
+    surgery(
+        "pictures",
+        "pictures-network-overwritten",
+        "the networks share one output: that of psi_c is overwritten by psi_r's before it is used",
+        colors_overwritten,
+    ),
     surgery(
         "spatial_prediction",
         "stage-mask-multiplied",

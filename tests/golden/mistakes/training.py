@@ -1,11 +1,13 @@
 """Known mistakes between the steps of a training: moments, masks, learning rates."""
 
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
 
 from p4dgs_ref.equations import grid_nodes, hash_grid
 from p4dgs_ref.oracle.rooms import ADAM, DENSITY, RATES
+from p4dgs_ref.training import density
 from p4dgs_ref.training.density import ROWS
 from p4dgs_ref.training.parameters import BETA_1, BETA_2, Adam, exponential
 from tests.golden import pipeline
@@ -38,6 +40,37 @@ class KeepsTheDead(Replayed):
 
     def keep_rows(self, keep, added=None):
         super().keep_rows(np.ones_like(keep), added)
+
+
+class CountsTheMasked(Replayed):
+    """Masked children keep an anchor alive."""
+
+    def keep_rows(self, keep, added=None):
+        every = np.ones_like(self.mask)
+        dead = density.dead_anchors(self.statistics, every, self.preset)
+        super().keep_rows(~dead, added)
+
+
+class JudgesByBestChild(Replayed):
+    """An anchor dies where none of its children is visible enough by itself."""
+
+    def keep_rows(self, keep, added=None):
+        best = (self.statistics.opacity * self.mask).max(axis=1, keepdims=True)
+        dead = density.dead_anchors(replace(self.statistics, opacity=best), 1, self.preset)
+        super().keep_rows(~dead, added)
+
+
+class LargeScales(Replayed):
+    """The scales of anchors have no upper limit."""
+
+    def keep_rows(self, keep, added=None):
+        super().keep_rows(keep, added)
+        self.large = self.parameters["log_s"].copy()
+
+    def adjust(self):
+        self.large = self.parameters["log_s"]
+        super().adjust()
+        self.parameters["log_s"][...] = self.large
 
 
 class LinearScales(Replayed):
@@ -182,6 +215,24 @@ MISTAKES = [
     ),
     of_training(
         "training-dead-stay", "anchors grow, but dead ones are not removed", KeepsTheDead, DENSITY
+    ),
+    of_training(
+        "training-dead-unmasked",
+        "the opacities of masked children count for their anchor, which then does not die",
+        CountsTheMasked,
+        DENSITY,
+    ),
+    of_training(
+        "training-dead-by-best-child",
+        "an anchor dies where its best child is too faint, not where all of them together are",
+        JudgesByBestChild,
+        DENSITY,
+    ),
+    of_training(
+        "training-large-scales",
+        "log_s is not clamped to 0.05 where anchors grow and die",
+        LargeScales,
+        DENSITY,
     ),
     of_training(
         "training-linear-sizes",

@@ -106,7 +106,7 @@ def forward_render(x, s, r, W, T, focal, center, size, **looks):
 
 def _falloff(e_x, e_y, conic):
     a, b, c = conic
-    return exp(-(a * e_x * e_x + c * e_y * e_y) / 2 - b * e_x * e_y)
+    return exp(min(-(a * e_x * e_x + c * e_y * e_y) / 2 - b * e_x * e_y, Decimal(0)))
 
 
 # --- losses --------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ LEFT_OUT = {
     (rules.comments_tell_the_shapes, "deformation_d3dgs", "ordinary"),
     (rules.comments_tell_the_shapes, "deformation_d3dgs", "no_skip"),
     (rules.comments_tell_the_shapes, "deformation_d3dgs", "no_time_net"),
+    (rules.comments_tell_the_shapes, "deformation_d3dgs", "square_layers"),
     # a layer whose units are all 0
     (rules.backward_is_linear_and_finite, "plane_decoder", "deeper"),
     # t - mu_t is 0 in float64 only

@@ -38,3 +38,4 @@ def cases():
     yield Case("ordinary", inputs((4, 2), True))
     yield Case("no_skip", inputs((4, 2), False, (3, 5, 4, 6)), ("off",))
     yield Case("no_time_net", inputs((), True, (3, 5, 4, 6)), ("off",))
+    yield Case("square_layers", inputs((), False, (4, 4)), ("off",))

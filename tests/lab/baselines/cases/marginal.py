@@ -43,6 +43,14 @@ def cases():
             "var_t_bar": np.zeros(5),
         },
     )
+    faint = np.array([0.04, 0.015, 1e-3, 1e-9])
+    yield Case(
+        "faint",
+        dict(alpha=inputs["alpha"][:4], mu_t=np.zeros(4), var_t=-0.5 / np.log(faint), t=1.0),
+        ("tail",),
+        cotangents={"alpha_t_bar": np.arange(1.0, 5)},
+        expected={"weight": faint, "alpha_bar": np.arange(1.0, 5) * faint},
+    )
     yield Case(
         "flashes",
         {**inputs, "var_t": np.full(5, 1e-24)},
