@@ -44,9 +44,10 @@ anchors stand in the order of their positions. Whatever is said about the float1
 
 STREAMS. The published streams whose names begin with `coded_` have version 2. Their `header` is the
 JSON as it stands in the file, without what the base design says. The kind of an error is `table`
-for w, `stream` for r of the positions. Gaps that add up to too much are refused at r
-(`coded_overrun`: byte 24), and a gamma code without an end among the gaps where their raw bits
-begin (`coded_endless_gap`: byte 25).
+for w, `number` for a level or a symbol of a network out of range, and `stream` for r of the
+positions and for a row or column code that is the escape (`coded_escape`). Gaps that add up to too
+much are refused at r (`coded_overrun`: byte 24), and a gamma code without an end among the gaps
+where their raw bits begin (`coded_endless_gap`: byte 25).
 
 Encoding a decoded model again gives the same bytes if this encoder wrote the file. Besides the
 choices of version 1, another encoder may choose the base design, the raw bits of a gap, and the

@@ -20,7 +20,7 @@ from ..report.evaluate import compression, json_safe, timed
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
-from . import UsageError, caution, progress, require, say, show, tell, text
+from . import FIELD_OF_VIEW, UsageError, caution, progress, require, say, show, tell, text
 
 
 def read_preset(name, changes=()):
@@ -186,7 +186,7 @@ def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
     azimuth, elevation = np.radians([azimuth, elevation])
     middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
     outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-    focal = size / 2 / np.tan(np.radians(41.0) / 2)  # a field of view of 41 degrees
+    focal = size / 2 / np.tan(np.radians(FIELD_OF_VIEW) / 2)
     return p4.look_at(middle + distance * outward, middle, focal, focal, size, size)
 
 

@@ -13,7 +13,7 @@ from importlib import import_module
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
-from . import caution, say, tell
+from . import FIELD_OF_VIEW, caution, say, tell
 
 
 class Parser(argparse.ArgumentParser):
@@ -225,7 +225,8 @@ GROUPS = {
                     type=bounded(float, 1e-3, 1e6),
                     default=3.6,
                     metavar="D",
-                    help="from the middle of the anchors (3.6)",
+                    help="from the middle of the anchors (3.6), "
+                    f"with a field of view of {FIELD_OF_VIEW:g} degrees",
                 ),
                 option(
                     "--size",

@@ -13,16 +13,16 @@
     table         [most nodes of a 3D level, most nodes of a 2D level]: 1 to 2^24 each
     F             entries per node of the hash grid: 1 to 64
     Q_0           list of the four base steps of f, s, l, O: 2^-100 to 2^100
-    tau_alpha     opacity below which a Gaussian is not drawn: -1 to 1
+    tau_alpha     opacity below which a Gaussian is not drawn: 0 to 1
     effects       list of the effects of the scene, none twice, in any order: some of "translation",
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
 All fields are there, none occurs twice, and there is no other. They stand in any order. background,
-Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do. All
-other numbers are integers, written without point and exponent; a reader that cannot tell 4 from 4.0
-may accept both. JSON.parse is such a reader, and of two equal fields it silently keeps the last.
-The port in `viewer/p4dgs.js` therefore counts the keys in the text, marks the numbers with a point
-or an exponent before it parses, and refuses both.
+Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do; it
+is that double which is in the range. All other numbers are integers, written without point and
+exponent; a reader that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of
+two equal fields it silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys
+in the text, marks the numbers with a point or an exponent before it parses, and refuses both.
 
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 
@@ -167,10 +167,15 @@ def integer(most):
 def real(least, most):
     """The reader of a number in a range."""
     return field(  # false for NaN
-        lambda value: type(value) in (int, float) and least <= value <= most,
+        lambda value: type(value) in (int, float) and least <= nearest(value) <= most,
         f"numbers from {least:g} to {most:g}",
-        float,
+        nearest,
     )
+
+
+def nearest(value):
+    """The double nearest to a number; infinity where an integer is beyond all doubles."""
+    return float(str(value))
 
 
 def list_of(read_item, least, most):
@@ -207,6 +212,6 @@ FIELDS = {
     "table": list_of(integer(MAX_ENTRIES), 2, 2),
     "F": integer(MAX_OF["F"]),
     "Q_0": list_of(real(2.0**-100, 2.0**100), len(ATTRIBUTES), len(ATTRIBUTES)),
-    "tau_alpha": real(-1.0, 1.0),
+    "tau_alpha": real(0.0, 1.0),
     "effects": list_of(EFFECT, 0, len(MODEL_EFFECTS)),
 }

@@ -34,7 +34,7 @@ PROPERTIES = (
 def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[str] = ()) -> None:
     """Write Gaussians as 3DGS does; `comments` go to the header, in ASCII.
 
-    Raises SceneError where a number is NaN or infinite as float32.
+    Raises SceneError where a number is NaN or beyond float32.
     """
     x, s, r, alpha, color, _ = (np.asarray(a, float) for a in gaussians)
     columns = [
@@ -48,5 +48,5 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[s
     with np.errstate(over="ignore"):  # infinities are found below
         rows = np.concatenate(columns, axis=1).astype("<f4")
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=1))
-    require(not bad, path, f"{bad} Gaussians are NaN or infinite; expected finite numbers")
+    require(not bad, path, f"{bad} Gaussians are NaN or beyond float32; expected finite numbers")
     write_ply(path, PROPERTIES, rows, (ascii(text)[1:-1] for text in comments))

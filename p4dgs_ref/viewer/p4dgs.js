@@ -214,7 +214,7 @@
     table: [list(2, 2, whole(1, 2 ** 24)), [8192, 32768], [8192, 32768]],
     F: [whole(1, 64), 2, 4],
     Q_0: [list(4, 4, real(2 ** -100, 2 ** 100)), [0.25, 0.01, 0.01, 0.1], [1, 0.001, 0.001, 0.2]],
-    tau_alpha: [real(-1, 1), 0, 0],
+    tau_alpha: [real(0, 1), 0, 0],
     effects: [distinct(list(0, 7, oneOf(EFFECTS))), MOVING, EFFECTS],
     position_bits: [whole(1, 16), 10, 16],
   };

@@ -221,6 +221,8 @@ def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
         assert len(help) <= 24 and max(map(len, [*help, *lines])) <= 100, name
         printing |= {name for line in help if line.startswith("  --json ")}
     assert printing == {*DATA.split(), "oracle check"}
+    help = " ".join(subcommands(parser)["render"].format_help().split())
+    assert "with a field of view of 41 degrees" in help
 
 
 def test_every_command_has_its_function():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import json
 from functools import cache
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from scipy.special import expit
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.designs import HAS_OURS, choose, fit, trainer_class
+from p4dgs_ref.codec.container import BitstreamError, write_container
+from p4dgs_ref.designs import HAS_OURS, choose, fit, read_container, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
+from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
@@ -121,6 +123,41 @@ def refusal(read, *arguments):
         read(*arguments)
     assert caught.value.offset >= 0 and "\n" not in str(caught.value)
     return caught.value
+
+
+# The ends of the ranges of the header's fields: values that a field may have, and that it may not.
+BEYOND = 2.0**20 + 2.0**-32, -(2.0**20) - 2.0**-32
+ENDS = {
+    "background": (
+        [[2**20, -(2**20), 2.0**-1074]],
+        [[beyond, 0, 0] for beyond in BEYOND],
+    ),
+    "hidden": ([[1], [2**14], []], [[0], [2**14 + 1], [1] * 9]),
+    "deformation": ([[1] * 8, [2**14]], [[0], [2**14 + 1], [1] * 9]),
+    "context": ([[1], [2**14], []], [[0], [2**14 + 1], [1] * 9]),
+    "grid": ([[["xyz", 2**16]], [["yz", 1]] * 64], [[], [["xy", 0]], [["xy", 2**16 + 1]]]),
+    "table": ([[1, 1], [2**24, 2**24]], [[0, 1], [1, 2**24 + 1], [1]]),
+    # An integer is read as the nearest double, too.
+    "Q_0": (
+        [[2**100, 2.0**-100, 1, 2**100 + 1]],
+        [[2**100 + 2**48, 1, 1, 1], [1, 1, 1, 2.0**-101], [1, 1, 1]],
+    ),
+    "tau_alpha": ([0, 1, 2.0**-1074, -0.0], [-(2.0**-1074), -1, 1 + 2.0**-52]),
+    **{name: ([1, most], [0, most + 1]) for name, most in MAX_OF.items()},
+}
+ENDS_OF_RANGES = [
+    (name, value, allowed)
+    for name, (inside, outside) in ENDS.items()
+    for values, allowed in ((inside, True), (outside, False))
+    for value in values
+]
+
+
+def with_field(data, name, value):
+    """A file of version 1 with another value of a field of its header."""
+    sections = read_container(data)
+    header = {**json.loads(sections["header"]), name: value}
+    return write_container({**sections, "header": json.dumps(header).encode()})
 
 
 def prefixes(data):

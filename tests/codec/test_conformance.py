@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import context, file, header, published
-from p4dgs_ref.codec.container import SECTIONS
+from p4dgs_ref.codec.container import SECTIONS, BitstreamError
 from p4dgs_ref.codec.file import NETWORK_SECTIONS
 from p4dgs_ref.codec.published import FOLDER
-from p4dgs_ref.designs import HAS_OURS, decode, encode, layout, quantised_of, read_container
+from p4dgs_ref.designs import HAS_OURS, decode, encode, layout, ours, quantised_of, read_container
 from p4dgs_ref.model import join
 from p4dgs_ref.report.inspect import ledger
-from tests.codec.models import CODED, MAKE, refusal
+from tests.codec.models import CODED, ENDS_OF_RANGES, MAKE, refusal, with_field
 from tests.golden import conformance, plain_decoder
 from tests.golden.both import NEEDS_OURS
 from tests.sampling import few
@@ -174,6 +174,20 @@ def test_the_plain_decoder_refuses_bad_streams(name):
     assert caught.value.args[0] == row["section"]
 
 
+@pytest.mark.parametrize("name, value, allowed", ENDS_OF_RANGES)
+def test_the_header_ends_where_the_page_says(name, value, allowed):
+    """A file with another header may be refused by its other sections."""
+    data = with_field(read("one_anchor.p4dgs"), name, value)
+    for reader, refused in ((decode, BitstreamError), (plain_decoder.decode, ValueError)):
+        try:
+            reader(data)
+        except refused as error:
+            section = getattr(error, "section", error.args[0])
+            assert (section != "header") == allowed, error
+        else:
+            assert allowed
+
+
 PAPER = {name: MAKE[name] for name in ("random", "no_effects", "turning", "flat", "trained")}
 
 
@@ -224,6 +238,8 @@ def test_worked_numbers_of_the_format_page():
             "stream (an entropy-coded message)",
         ),
     }
+    if HAS_OURS:
+        pages[ours("file")] = ("`stream` for r of the positions and for a row or column code that",)
     for module, texts in pages.items():
         page = " ".join(module.__doc__.split())
         assert all(text in page for text in texts), module.__name__

@@ -124,7 +124,7 @@ NO_STEPS = [
     [1] * 5,
     *([1, 1, 1, v] for v in (0, -1, True, 1e31, 1e-31, 10**400, float("nan"))),
 ]
-NO_OPACITIES = [None, True, "0", [0], 1.5, -1.5, 10**400, float("inf"), float("nan")]
+NO_OPACITIES = [None, True, "0", [0], 1.5, -(2.0**-1074), 10**400, float("inf"), float("nan")]
 NO_COLORS = [None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb"]
 NO_EFFECTS = [None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2]
 NONSENSE = {
@@ -275,8 +275,8 @@ def test_huge_symbols_name_the_array(model, name, group):
 @pytest.mark.parametrize(
     "field, value, message",
     [
-        ("tau_alpha", 2.0, "'tau_alpha': expected numbers from -1"),
-        ("tau_alpha", np.nan, "expected numbers from -1"),
+        ("tau_alpha", 2.0, "'tau_alpha': expected numbers from 0"),
+        ("tau_alpha", np.nan, "expected numbers from 0"),
         ("effects", ("view_color", "wind"), "'effects': expected some of"),
         ("grid", (), "expected a list of 1 to 64"),
         ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected numbers from"),

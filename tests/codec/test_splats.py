@@ -111,7 +111,7 @@ def test_hard_cases_give_finite_numbers_and_the_same_picture(name, tmp_path):
 def test_what_is_not_finite_is_refused(field, value, tmp_path):
     gaussians = some(4)
     getattr(gaussians, field)[2] = value
-    with pytest.raises(SceneError, match="a.ply: 1 Gaussians are NaN or infinite"):
+    with pytest.raises(SceneError, match="a.ply: 1 Gaussians are NaN or beyond float32"):
         write_gaussians(tmp_path / "a.ply", gaussians)
     assert not list(tmp_path.iterdir())
 

@@ -31,6 +31,23 @@ SECTIONS = (
 HEADS = {"translation": 3, "scaling": 3, "rotation": 4}  # outputs of psi_d for each effect
 EFFECTS = {*HEADS, "view_color", "view_geometry", "occlusion", "background"}
 PRIMES = (1, 2654435761, 805459861)
+WIDTHS = (1, 2**14, range(9))
+RANGES = {  # of a number of the header; of the numbers of a list, and how many it may have
+    "anchors": (1, 2**22),
+    "background": (-(2**20), 2**20, [3]),
+    "d": (1, 4096),
+    "k": (1, 256),
+    "hidden": WIDTHS,
+    "deformation": WIDTHS,
+    "L_x": (1, 64),
+    "L_t": (1, 64),
+    "context": WIDTHS,
+    "grid": (1, 2**16, range(1, 65)),
+    "table": (1, 2**24, [2]),
+    "F": (1, 64),
+    "Q_0": (2.0**-100, 2.0**100, [4]),
+    "tau_alpha": (0, 1),
+}
 
 
 def need(holds, section, reason):
@@ -114,19 +131,24 @@ def read_header(body, size, version):
         if version == 2:
             h = {**json.loads(BASES.read_text())[h["as"]], **h}
             need(h["position_bits"] in range(1, 17), "header", "bits")
+        resolutions = [R for _, R in h["grid"]]
+        for name, (least, most, *counts) in RANGES.items():
+            values = resolutions if name == "grid" else h[name] if counts else [h[name]]
+            need(not counts or len(values) in counts[0], "header", f"{name}: length")
+            need(all(least <= float(v) <= most for v in values), "header", f"{name}: range")
         T = [min(R ** len(axes), h["table"][len(axes) == 2]) for axes, R in h["grid"]]
         entries = h["F"] * sum(T)
         numbers = h["anchors"] * (9 + h["d"] + 4 * h["k"]) + entries  # without the weights
         most = min(2**25, 2**22 + 16 * size)
         need(0 < entries <= 2**24 and 0 < numbers <= most, "header", "sizes")
-        need(len(h["Q_0"]) == 4 and {*h["effects"]} <= EFFECTS, "header", "steps or effects")
+        need({*h["effects"]} <= EFFECTS, "header", "effects")
         widths = [h["d"], 3, 3, 3 * h["k"]]
         nets = [(len(T) * h["F"], *h["context"], n) for n in (2 * sum(widths), 4)]
         work = sum(I * J for net in nets for I, J in zip(net, net[1:]))
         work += sum(2 ** len(axes) * 64 * (h["F"] + 8) for axes, _ in h["grid"])
         need(h["anchors"] * work <= 2**34 + 2**15 * size, "header", "work")
         return h, T, widths
-    except (LookupError, TypeError, ValueError, RecursionError) as error:
+    except (LookupError, OverflowError, TypeError, ValueError, RecursionError) as error:
         raise ValueError("header", "a field that is missing, unknown or out of range") from error
 
 

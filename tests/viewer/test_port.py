@@ -16,6 +16,7 @@ from p4dgs_ref.oracle import checker, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.report.inspect import anchor_bits, components
 from tests import ROOT
+from tests.codec.models import ENDS_OF_RANGES, with_field
 from tests.golden import needles
 from tests.golden.damage import mutation
 
@@ -80,6 +81,13 @@ def test_bad_streams_are_refused_where_they_are_bad(port):
         said = answer(port, (FOLDER / row["file"]).read_bytes())
         asked = [field for field in ("section", "kind", "offset") if row[field] is not None]
         assert {field: said[field] for field in asked}.items() <= row.items(), row["name"]
+
+
+def test_headers_end_where_the_page_says(port):
+    least = (FOLDER / "one_anchor.p4dgs").read_bytes()
+    for name, value, allowed in ENDS_OF_RANGES:
+        said = answer(port, with_field(least, name, value))
+        assert (said.get("section") != "header") == allowed, (name, value)
 
 
 @pytest.mark.parametrize("n", [100, pytest.param(2000, marks=pytest.mark.slow)])
