@@ -22,6 +22,7 @@ high = z + w/2, in sigmas from the mean.
 import numpy as np
 from scipy.special import erfcx, ndtr
 
+LEAST = np.finfo(np.float64).tiny  # of sigma, q and q / sigma: slopes of smaller ones overflow
 NARROW = 1 / 16  # of max(w, z w): a difference loses 4 bits at most, the series ends at 3e-16
 FAR = 2.0  # of low: from here on, scaled tails have more digits than ndtr
 PIECE = 2**14  # values at a time, so that intermediate results stay in the cache (time only)
@@ -46,10 +47,12 @@ def forward(
 
     Accurate for |f_noisy - mu| <= 1000 sigma and 1e-12 <= q / sigma <= 1e6; smooth everywhere,
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
-    ValueError where sigma or q is not positive.
+    ValueError where sigma, q or q / sigma is not positive, or not between 2^-1022 and 2^1022.
     """
-    check_positive("sigma", sigma)
-    check_positive("q", q)
+    check_normal("sigma", sigma)
+    check_normal("q", q)
+    with np.errstate(over="ignore"):
+        check_normal("q / sigma", np.divide(q, sigma, dtype=np.float64))
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
     inputs = [a.reshape(-1) for a in (f_noisy, mu, sigma, q)]
     for start in range(0, f_noisy.size, PIECE):
@@ -148,8 +151,11 @@ def phi(v):
     return PHI_0 * np.exp(-0.5 * v**2)
 
 
-def check_positive(name, a):
-    """Raise ValueError for the first entry that is not positive; NaN passes and gives NaN."""
-    if a.min(initial=1) <= 0:
-        index = np.argwhere(a <= 0)[0].tolist()
-        raise ValueError(f"{name}{index} is {a[tuple(index)]}: expected a positive number")
+def check_normal(name, a):
+    """Raise ValueError for the first entry whose slopes are beyond float64; NaN gives NaN."""
+    if a.min(initial=1) < LEAST or a.max(initial=1) > 1 / LEAST:
+        a = a.astype(np.float64)
+        index = np.argwhere((a < LEAST) | (a > 1 / LEAST))[0].tolist()
+        raise ValueError(
+            f"{name}{index} is {a[tuple(index)]}: expected {LEAST:.3g} to {1 / LEAST:.3g}"
+        )

@@ -1,5 +1,6 @@
 """Eqs. (9) to (13): pieces and regimes, what is refused, and zeros."""
 
+import itertools
 import json
 import math
 
@@ -50,13 +51,35 @@ def test_pieces_meet(monkeypatch):
     assert all(np.array_equal(slopes[name], slopes_of_pieces[name]) for name in slopes)
 
 
+@BOTH
 @pytest.mark.parametrize("name", ["sigma", "q"])
-def test_likelihood_names_what_is_not_positive(name):
-    inputs = {key: np.ones((3, 2)) for key in ("f_noisy", "mu", "sigma", "q")}
+def test_likelihood_names_what_is_not_positive(name, dtype):
+    inputs = {key: np.ones((3, 2), dtype) for key in ("f_noisy", "mu", "sigma", "q")}
     for value in (0.0, -1.0):
         inputs[name][1, 0] = value
         with pytest.raises(ValueError, match=rf"{name}\[1, 0\]"):
             likelihood.forward(**inputs)
+
+
+@np.errstate(all="ignore")
+def test_slopes_are_finite_or_the_ratio_is_refused():
+    """Whatever sigma and q are, at distances where the true slopes are finite."""
+    ends = 5e-324, 1e-309, likelihood.LEAST, 1e-300, 1e-10, 1.0, 1e10, 1e300, 1 / likelihood.LEAST
+    refused = 0
+    for sigma, q in itertools.product(ends, ends):
+        for z in (0.0, 0.3):
+            inputs = [np.full((1, 1), a) for a in (z * sigma, 0.0, sigma, q)]
+            try:
+                bits, saved = likelihood.forward(*inputs)
+            except ValueError as error:
+                assert "[0, 0] is " in str(error)
+                refused += 1
+            else:
+                assert np.isfinite(
+                    [bits, *likelihood.backward(saved, np.ones_like(bits)).values()]
+                ).all(), (z, sigma, q)
+                assert likelihood.LEAST <= q / sigma <= 1 / likelihood.LEAST
+    assert 0 < refused < 2 * len(ends) ** 2
 
 
 # --- Eq. (9) -------------------------------------------------------------------------------------
