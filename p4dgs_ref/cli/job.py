@@ -17,10 +17,13 @@ from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
+from ..scenes.fields import SceneError
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
 from . import FIELD_OF_VIEW, UsageError, caution, progress, require, say, show, tell, text
+
+HELD = ("azimuth", "elevation", "distance", "size", "frames")  # options about a held camera
 
 
 def read_preset(name, changes=()):
@@ -190,36 +193,60 @@ def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
     return p4.look_at(middle + distance * outward, middle, focal, focal, size, size)
 
 
+def held_views(model, frames=24, **camera):
+    """Names, cameras and times in 0 ... 1 of the frames that a held camera takes."""
+    times = np.linspace(0, 1, frames)
+    return [(f"t_{i:03d}", held_camera(model, **camera), t) for i, t in enumerate(times)]
+
+
+def views_of(scene):
+    """Names, cameras and times of a scene's test views; no two of the names are equal."""
+    names = [view.name.replace("/", "_") for view in scene.test]
+    if len(set(names)) < len(names):
+        names = [f"{i:03d}_{name}" for i, name in enumerate(names)]
+    return [(name, view.camera, view.time) for name, view in zip(names, scene.test)]
+
+
 def render(arguments):
-    """Draw pictures of a file."""
-    model, known = read_model(arguments.file), p4.SETTINGS
+    """Draw pictures of a file, into a folder that has none, or as one GIF."""
+    output, known = Path(arguments.output), p4.SETTINGS
+    options = {name: getattr(arguments, name) for name in HELD}
+    given = {name: value for name, value in options.items() if value is not None}
     require(
         arguments.settings in known,
         f"--settings {arguments.settings}",
         f"expected one of {', '.join(known)}",
     )
+    require(
+        not (arguments.scene and given),
+        " ".join(f"--{name}" for name in given),
+        "expected without --scene, whose cameras and times are drawn",
+    )
+    is_gif = output.suffix == ".gif"
+    require(
+        is_gif or not any(output.glob("[!.]*")),
+        output,
+        "has files already; expected a new or an empty folder, so that all pictures are of one run",
+    )
+    model, reads = read_model(arguments.file), [arguments.file]
     if arguments.scene:
-        views = [
-            (view.name.replace("/", "_"), view.camera, view.time)
-            for view in p4.load_scene(arguments.scene).test
-        ]
+        scene = p4.load_scene(arguments.scene)
+        views, reads = views_of(scene), [*reads, *scene.source.rglob("*")]
     else:
-        camera = held_camera(
-            model, arguments.azimuth, arguments.elevation, arguments.distance, arguments.size
-        )
-        views = [
-            (f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, arguments.frames))
-        ]
-    images = []
-    with filled(arguments.output, arguments.file) as staging:
+        views = held_views(model, **given)
+    with new_file(output, *reads) if is_gif else filled(output) as place:
+        images = []
         for name, camera, t in views:
             images.append(np.clip(model.render(camera, t, known[arguments.settings]), 0, 1))
-            pixels = (images[-1] * 255).round().astype(np.uint8)
-            png = iio.imwrite("<bytes>", pixels, extension=".png")
-            (staging / f"{name}.png").write_bytes(png)
-        if not arguments.scene:
-            figures.write_gif(staging / "motion.gif", images)
-    tell(f"{arguments.output}: {len(images)} images")
+            if not is_gif:
+                picture = (images[-1] * 255).round().astype(np.uint8)
+                png = iio.imwrite("<bytes>", picture, extension=".png")
+                (place / f"{name}.png").write_bytes(png)
+        if is_gif:
+            write_atomically(place, lambda file: file.write(figures.gif_of(images)))
+        elif not arguments.scene:
+            (place / "motion.gif").write_bytes(figures.gif_of(images))
+    tell(f"{output}: {len(images)} images")
 
 
 def frozen_camera(arguments, model):
@@ -227,7 +254,17 @@ def frozen_camera(arguments, model):
     if arguments.camera is None and not arguments.scene:
         return held_camera(model), "a held camera"
     scene = arguments.scene or Path(arguments.file).stem  # `demo` names a file after its scene
-    views, i = p4.load_scene(scene).test, arguments.camera or 0
+    i = arguments.camera or 0
+    try:
+        views = p4.load_scene(scene).test
+    except SceneError as error:
+        require(
+            arguments.scene,
+            f"--camera {i}",
+            f"expected together with --scene, because no scene is named {scene} as the file is "
+            f"({error})",
+        )
+        raise
     require(i < len(views), f"--camera {i}", f"expected one of the views 0 ... {len(views) - 1}")
     return views[i].camera, f"view {views[i].name} of {scene}"
 

@@ -205,25 +205,22 @@ GROUPS = {
             "draw a file over time, from a held camera or from the test views of a scene",
             (
                 option("file", help="a .p4dgs file, or a baseline's .ply"),
-                NEW_FOLDER,
+                output("new folder to write to, or a .gif file", required=True),
                 option(
                     "--azimuth",
                     type=bounded(float, -360, 360),
-                    default=40.0,
                     metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
                     type=bounded(float, -89, 89),
-                    default=30.0,
                     metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
-                    default=3.6,
                     metavar="D",
                     help="from the middle of the anchors (3.6), "
                     f"with a field of view of {FIELD_OF_VIEW:g} degrees",
@@ -231,14 +228,12 @@ GROUPS = {
                 option(
                     "--size",
                     type=bounded(int, 1, 4096),
-                    default=128,
                     metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
                     type=bounded(int, 1, 10_000),
-                    default=24,
                     metavar="N",
                     help="times in 0 ... 1 (24)",
                 ),

@@ -123,29 +123,26 @@ def write_comparison(folder, scene, rows, images, count=4):
     )
 
 
-def write_gif(path, images):
-    """Write images (H, W, 3) in [0, 1] as a GIF that plays forwards and backwards."""
+def gif_of(images):
+    """The bytes of a GIF of images (H, W, 3) in [0, 1] that plays forwards and backwards."""
     import imageio.v3 as iio
 
-    gif = iio.imwrite(
+    return iio.imwrite(
         "<bytes>",
         [(image * 255).round().astype(np.uint8) for image in (*images, *images[-2:0:-1])],
         extension=".gif",
         duration=60,
         loop=0,
     )
-    path.write_bytes(gif)
 
 
 def write_motion(path, model, camera, frames=24, zoom=4):
     """A GIF of the model over t, seen by one camera at rest."""
-    write_gif(
-        path,
-        [
-            np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
-            for t in np.linspace(0, 1, frames)
-        ],
-    )
+    images = [
+        np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
+        for t in np.linspace(0, 1, frames)
+    ]
+    path.write_bytes(gif_of(images))
 
 
 def write_size(folder, measured):

@@ -18,6 +18,7 @@ from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
+from p4dgs_ref.scenes.files import write_ply
 from p4dgs_ref.training.fit import load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
@@ -40,6 +41,10 @@ def original(scene, tmp_path_factory):
     (place / "report").mkdir()
     (place / "report" / "scene.p4dgs").write_bytes(data)
     (place / "report" / "metrics.json").write_text("{}")
+    (place / "run.p4dgs").write_bytes(data)
+    (place / "scene" / "still.gif").write_bytes(b"another picture of the scene")
+    (place / "folder.gif").mkdir()
+    write_ply(place / "scene.ply", "xyz", np.zeros((2, 3)), ("of another program",))
     (place / "run_cut").mkdir()
     saved = (place / "run" / "checkpoint.npz").read_bytes()
     (place / "run_cut" / "checkpoint.npz").write_bytes(saved[:-50])
@@ -321,6 +326,23 @@ LINES = [
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
     ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, paper, fast")),
+    *(
+        (f"render good.p4dgs -o new --scene scene {option} 3", (option, "without --scene"))
+        for option in ("--azimuth", "--elevation", "--distance", "--size", "--frames")
+    ),
+    ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
+    ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
+    ("render good.p4dgs -o scene/still.gif --scene scene", ("still.gif: this is the input",)),
+    ("render good.p4dgs -o folder.gif --frames 1", ("folder.gif: ", "found a folder")),
+    ("render scene.ply -o new", ("scene.ply: ", "expected a .p4dgs file, or a .ply")),
+    (
+        "export-ply good.p4dgs --camera 0",
+        ("--camera 0: expected together with --scene", "no scene is named good"),
+    ),
+    (
+        "export-ply run.p4dgs --camera 0",
+        ("--camera 0: expected together with --scene", "run/transforms_train.json"),
+    ),
     ("simulate nowhere.json -o new", ("nowhere.json",)),
     ("simulate text -o new", ("text", "JSON")),
     (
@@ -466,7 +488,6 @@ ODD = {
 }
 WRITING = {
     "encode run -o {}/x.p4dgs": "x.p4dgs",
-    "render good.p4dgs -o {} --frames 2 --size 4": "motion.gif",
     "inspect good.p4dgs -o {}": "sections.csv",
     "evaluate good.p4dgs scene -o {}": "comparison.png",
     "decode good.p4dgs -o {}": "model.json",
@@ -534,7 +555,7 @@ def test_names_reach_the_terminal_without_their_control_characters(place, run):
         f"evaluate 'g\x1b[2J' '{odd}' -o 'r\x1b[2J'",
         f"demo '{odd}' -o 'r\x1b[2J' --preset smoke --quiet",
         "encode run -o 'r\x1b[2J/x\x1b[2J'",
-        "render 'g\x1b[2J' -o 'r\x1b[2J' --frames 1 --size 4",
+        "render 'g\x1b[2J' -o 'r\x1b[2J/new' --frames 1 --size 4",
     ):
         code, out, err = run(line)
         assert code == 0 and out and (out + err).replace("\n", "").isprintable(), line

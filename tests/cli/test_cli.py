@@ -104,6 +104,7 @@ WRITTEN = {
         "views: 10 images",
         " ".join(f"test_r_{i:03d}.png" for i in range(10)),
     ),
+    "render out/x.p4dgs -o moving/x.gif --frames 3 --size 20": ("moving/x.gif: 3 images", "x.gif"),
     "evaluate out/x.p4dgs bouncing -o scored": (
         "test/r_000  t 0.050  PSNR ",
         "comparison.csv comparison.png",
@@ -128,7 +129,8 @@ def test_from_a_scene_to_a_file_and_back(ok):
         np.testing.assert_array_equal(arrays["psi_c.b1"], model.networks["psi_c"][1][1])
         np.testing.assert_array_equal(arrays["f_a"], model.anchors.f_a)
     assert json.loads(Path("arrays/model.json").read_text())["k"] == 3
-    assert iio.imread("held/motion.gif").shape == (4, 20, 20, 3)  # 0, 1, 2, 1
+    for gif in ("held/motion.gif", "moving/x.gif"):
+        assert iio.imread(gif).shape == (4, 20, 20, 3)  # 0, 1, 2, 1
     view = p4.load_scene("bouncing").test[2]
     want = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
     np.testing.assert_allclose(iio.imread("views/test_r_002.png") / 255, want, atol=0.501 / 255)
@@ -206,6 +208,15 @@ def every_command(parser):
     found = subcommands(parser)
     inner = {f"{name} {n}": c for name, part in found.items() for n, c in subcommands(part).items()}
     return {**found, **inner}
+
+
+def test_views_that_share_a_name_are_all_drawn(files, scene, tmp_path, monkeypatch, run):
+    shutil.copytree(scene, tmp_path / "scene")
+    monkeypatch.chdir(tmp_path)
+    listed = Path("scene/transforms_test.json")
+    listed.write_text(listed.read_text().replace("r_1", "r_0"))
+    assert run(f"render {files}/sum.p4dgs --scene scene -o drawn")[1] == "drawn: 2 images\n"
+    assert names_in("drawn") == ["000_test_r_0.png", "001_test_r_0.png"]
 
 
 def test_help_has_five_groups_and_fits_a_screen(monkeypatch):

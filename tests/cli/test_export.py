@@ -81,7 +81,6 @@ def test_the_header_says_what_was_frozen(place, run):
         ("export-ply bouncing.p4dgs --time soon", "--time"),
         ("export-ply bouncing.p4dgs --camera -1", "--camera"),
         ("export-ply bouncing.p4dgs --camera 10", "--camera 10: expected one of the views 0 ... 9"),
-        ("export-ply sum.p4dgs --camera 0", "sum: no such folder; expected"),
         ("export-ply bouncing.p4dgs --scene nowhere", "nowhere: no such folder"),
         ("export-ply bouncing.p4dgs --background red", "--background red"),
         ("view sum.p4dgs bouncing.p4dgs -o bouncing.p4dgs", "bouncing.p4dgs: this is the input"),

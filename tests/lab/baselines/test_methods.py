@@ -143,10 +143,10 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
         assert np.array_equal(again.parameters[name], a), name
     image, other = (m.render(scene.test[0].camera, scene.test[0].time) for m in (model, again))
     assert np.array_equal(image, other) and np.array_equal(again.background, scene.background)
-    assert cli.run(f"render {path} -o {tmp_path} --scene bouncing".split(), 0.0) == 0
+    assert cli.run(f"render {path} -o {tmp_path / 'views'} --scene bouncing".split(), 0.0) == 0
     whole = load_scene("bouncing").test[0]  # the command draws views in their full size
     drawn, want = (
-        iio.imread(tmp_path / "test_r_000.png") / 255,
+        iio.imread(tmp_path / "views" / "test_r_000.png") / 255,
         again.render(whole.camera, whole.time),
     )
     np.testing.assert_allclose(drawn, np.clip(want, 0, 1), atol=0.501 / 255)
