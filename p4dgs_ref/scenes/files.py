@@ -44,6 +44,8 @@ PLY_TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
+PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
+MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
 COLMAP_POINT = struct.Struct("<Q3d3BdQ")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -68,16 +70,20 @@ def read_image(folder, name, where):
         where,
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
-    with reading(file, "a PNG of RGB or RGBA pixels", where), open(file, "rb") as stream:
+    place = f"{where}: {file}"
+    with reading(file, f"a PNG of {PIXELS}", where), open(file, "rb") as stream:
         with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
-            shape = opened.properties().shape
+            shape, described = opened.properties().shape, opened.metadata()
             require(
                 math.prod(shape) <= MAX_PICTURE,
-                f"{where}: {file}",
+                place,
                 f"{shape} numbers; expected a PNG of at most {MAX_PICTURE}",
             )
-            clear = "transparency" in opened.metadata()  # alpha of a palette's colours
-            return as_float(opened.read(mode="RGBA" if clear else None), f"{where}: {file}")
+            mode = described["mode"]
+            # Pillow would give other kinds, such as CMYK, as if their numbers were RGB or RGBA.
+            require(mode in MODES, place, f"pixels of kind {mode}; expected {PIXELS}")
+            clear = mode in ("RGBA", "LA") or "transparency" in described
+            return as_float(opened.read(mode="RGBA" if clear else "RGB"), place)
 
 
 def shrink(image, color, downscale, where):

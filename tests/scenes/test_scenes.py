@@ -423,9 +423,12 @@ def effects(names):
     return text("scene.json", json.dumps({"effects": names}))
 
 
-def picture(*shape):
-    pixels = np.zeros(shape, np.uint8)
-    return lambda folder: iio.imwrite(folder / "test" / "r_001.png", pixels)
+def picture(*shape, pixels=np.uint8(0), **kind):
+    """Writes a picture in the place of one of the scene; `kind` is for Pillow."""
+    pixels = np.broadcast_to(pixels, shape)
+    return lambda folder: iio.imwrite(
+        folder / "test" / "r_001.png", pixels, plugin="pillow", **kind
+    )
 
 
 FIVE_THOUSAND = '{"frames": [], "time": ' + "9" * 5000 + "}"
@@ -443,7 +446,19 @@ IN_THE_FOLDER = [
     (effects("rotation"), {}, ("scene.json", "effects", "list")),
     (effects([["rotation"]]), {}, ("scene.json", "effects[0]", "rotation")),
     (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
-    (picture(HEIGHT, WIDTH), {}, ("frames[1].file_path", "r_001.png", "(H, W, 3)")),
+    *(
+        (
+            picture(HEIGHT, WIDTH, channels, mode=mode, extension=".tif"),
+            {},
+            ("frames[1].file_path", "r_001.png", f"pixels of kind {mode}; expected RGB"),
+        )
+        for mode, channels in (("CMYK", 4), ("LAB", 3), ("YCbCr", 3))
+    ),
+    (
+        picture(HEIGHT, WIDTH, pixels=np.uint16(300)),
+        {},
+        ("r_001.png", "pixels of kind I", "grey of 8 bits"),
+    ),
     (
         lambda folder: (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then"),
         {},
@@ -465,6 +480,20 @@ def test_mistakes_in_the_folder(folder, change, options, words):
     change(folder)
     options = {**options, "path": folder / options.get("path", "")}
     refuse(words, load_scene, **options)
+
+
+@pytest.mark.parametrize("background", [0.0, 1.0])
+def test_grey_pictures_are_read(folder, background):
+    grey, alpha = np.random.default_rng(1).integers(0, 256, (2, HEIGHT, WIDTH), dtype=np.uint8)
+    over = np.where(alpha > 127, grey / 255, background)
+    for pixels, want in (
+        (grey, grey / 255),
+        (alpha > 127, 1.0 * (alpha > 127)),
+        (np.stack([grey, np.where(alpha > 127, np.uint8(255), np.uint8(0))], axis=2), over),
+    ):
+        picture(*pixels.shape, pixels=pixels)(folder)
+        image = load_scene(folder, background=[background] * 3).test[1].image
+        np.testing.assert_allclose(image, np.stack([want] * 3, axis=2), atol=1e-6)
 
 
 def test_packaged_names_and_paths(tmp_path, monkeypatch):
