@@ -10,8 +10,8 @@ from p4dgs_ref.codec.header import AXES, FIELDS
 from p4dgs_ref.limits import MAX_BOX, MAX_OF
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import tiles
-from tests.golden.both import sections_of, write_container
-from tests.golden.conformance_good import LARGEST, Parts
+from tests.golden.both import VERSIONS, sections_of, write_container
+from tests.golden.conformance_good import LARGEST, Parts, coded_parts
 from tests.sampling import few
 
 SIZES = 0, 2.0**-1074, 2.0**-100, 0.3, 1, 2.0**20, 2.0**100, 1e300
@@ -50,9 +50,8 @@ def random_file(seed):
     def number(name, wrap=lambda value: value):
         return float(rng.choice([v for v in NUMBERS if is_allowed(name, wrap(float(v)))]))
 
-    parts = Parts(
-        seed,
-        whole(20),
+    fields = dict(
+        anchors=whole(20),
         d=whole(32),
         k=whole(8),
         hidden=widths(),
@@ -67,16 +66,18 @@ def random_file(seed):
         tau_alpha=number("tau_alpha"),
         effects=tuple(map(str, rng.permutation(MODEL_EFFECTS)[: rng.integers(0, 8)])),
     )
-    if rng.random() < 0.3:  # the largest weights
+    version = VERSIONS[seed % len(VERSIONS)]
+    parts = coded_parts(seed, whole(16), **fields) if version == 2 else Parts(seed, **fields)
+    if version == 1 and rng.random() < 0.5:  # the largest weights
         for W in [W for weights, _ in parts.networks.values() for W in weights]:
             W[...] = np.where(W < 0, -LARGEST, LARGEST)
-    if rng.random() < 0.3:  # the largest box
+    if rng.random() < 0.5:  # the largest box
         corner = np.full(3, np.nextafter(np.float32(MAX_BOX), np.float32(0)))
         parts.box = -corner, corner
     quantised = parts.quantised()
     color = [number("background", lambda v: [v] * 3) for _ in range(3)]
     quantised.model.background[...] = color
-    return write_container(sections_of(quantised))
+    return write_container(sections_of(quantised), version)
 
 
 @pytest.mark.parametrize("seed", few(range(150), 3))
