@@ -11,8 +11,6 @@ import sys
 
 from ..limits import cut
 
-FIELD_OF_VIEW = 41.0  # degrees, of the camera that `render` holds
-
 
 class UsageError(ValueError):
     """A mistake on the command line: one line naming the option or file and what was expected."""

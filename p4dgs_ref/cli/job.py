@@ -21,7 +21,7 @@ from ..scenes.fields import SceneError
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
-from . import FIELD_OF_VIEW, UsageError, caution, progress, require, say, show, tell, text
+from . import UsageError, caution, progress, require, say, show, tell, text
 
 HELD = ("azimuth", "elevation", "distance", "size", "frames")  # options about a held camera
 
@@ -184,19 +184,10 @@ def read_model(path):
     return baselines.load(path)
 
 
-def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
-    """The camera that looks at the middle of a model's box; angles in degrees."""
-    azimuth, elevation = np.radians([azimuth, elevation])
-    middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
-    outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-    focal = size / 2 / np.tan(np.radians(FIELD_OF_VIEW) / 2)
-    return p4.look_at(middle + distance * outward, middle, focal, focal, size, size)
-
-
 def held_views(model, frames=24, **camera):
     """Names, cameras and times in 0 ... 1 of the frames that a held camera takes."""
-    times = np.linspace(0, 1, frames)
-    return [(f"t_{i:03d}", held_camera(model, **camera), t) for i, t in enumerate(times)]
+    camera = figures.held_camera(model, **camera)
+    return [(f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, frames))]
 
 
 def views_of(scene):
@@ -210,8 +201,8 @@ def views_of(scene):
 def render(arguments):
     """Draw pictures of a file, into a folder that has none, or as one GIF."""
     output, known = Path(arguments.output), p4.SETTINGS
-    options = {name: getattr(arguments, name) for name in HELD}
-    given = {name: value for name, value in options.items() if value is not None}
+    options = vars(arguments).items()
+    given = {name: value for name, value in options if name in HELD and value is not None}
     require(
         arguments.settings in known,
         f"--settings {arguments.settings}",
@@ -222,7 +213,7 @@ def render(arguments):
         " ".join(f"--{name}" for name in given),
         "expected without --scene, whose cameras and times are drawn",
     )
-    is_gif = output.suffix == ".gif"
+    is_gif = output.suffix.lower() == ".gif"
     require(
         is_gif or not any(output.glob("[!.]*")),
         output,
@@ -235,24 +226,26 @@ def render(arguments):
     else:
         views = held_views(model, **given)
     with new_file(output, *reads) if is_gif else filled(output) as place:
-        images = []
-        for name, camera, t in views:
-            images.append(np.clip(model.render(camera, t, known[arguments.settings]), 0, 1))
-            if not is_gif:
-                picture = (images[-1] * 255).round().astype(np.uint8)
-                png = iio.imwrite("<bytes>", picture, extension=".png")
-                (place / f"{name}.png").write_bytes(png)
+        images = [
+            np.clip(model.render(camera, t, known[arguments.settings]), 0, 1)
+            for _, camera, t in views
+        ]
         if is_gif:
             write_atomically(place, lambda file: file.write(figures.gif_of(images)))
-        elif not arguments.scene:
-            (place / "motion.gif").write_bytes(figures.gif_of(images))
+        else:
+            for (name, *_), image in zip(views, images):
+                pixels = (image * 255).round().astype(np.uint8)
+                png = iio.imwrite("<bytes>", pixels, extension=".png")
+                (place / f"{name}.png").write_bytes(png)
+            if not arguments.scene:
+                (place / "motion.gif").write_bytes(figures.gif_of(images))
     tell(f"{output}: {len(images)} images")
 
 
 def frozen_camera(arguments, model):
     """The camera whose view is exported, and its name for the header."""
     if arguments.camera is None and not arguments.scene:
-        return held_camera(model), "a held camera"
+        return figures.held_camera(model), "a held camera"
     scene = arguments.scene or Path(arguments.file).stem  # `demo` names a file after its scene
     i = arguments.camera or 0
     try:
@@ -328,7 +321,7 @@ def inspect(arguments):
             figures.draw_ledger(staging / "sections.png", rows)
             if arguments.heat:
                 model, bits = sizes.anchor_bits(data)
-                figures.write_heat(staging, model, bits, held_camera(model))
+                figures.write_heat(staging, model, bits, figures.held_camera(model))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 

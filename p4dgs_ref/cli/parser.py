@@ -13,7 +13,7 @@ from importlib import import_module
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
-from . import FIELD_OF_VIEW, caution, say, tell
+from . import caution, say, tell
 
 
 class Parser(argparse.ArgumentParser):
@@ -222,8 +222,7 @@ GROUPS = {
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
                     metavar="D",
-                    help="from the middle of the anchors (3.6), "
-                    f"with a field of view of {FIELD_OF_VIEW:g} degrees",
+                    help="from the middle of the anchors (3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",

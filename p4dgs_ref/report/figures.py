@@ -6,6 +6,7 @@ import numpy as np
 
 from ..attributes import ATTRIBUTES
 from ..splatting import render
+from ..splatting.camera import look_at
 from ..splatting.settings import FAST
 from ..training.loop import COLUMNS
 
@@ -121,6 +122,15 @@ def write_comparison(folder, scene, rows, images, count=4):
             ("absolute error", [error_of(image, view.image) for image, view in zip(images, views)]),
         ],
     )
+
+
+def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
+    """The camera that looks at the middle of a model's box; angles in degrees."""
+    azimuth, elevation = np.radians([azimuth, elevation])
+    middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
+    outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    focal = size / 2 / np.tan(np.radians(41.0) / 2)  # a field of view of 41 degrees
+    return look_at(middle + distance * outward, middle, focal, focal, size, size)
 
 
 def gif_of(images):

@@ -8,6 +8,7 @@ import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import imageio.v3 as iio
 import numpy as np
@@ -19,6 +20,7 @@ from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.lab.tables import compare
+from p4dgs_ref.report import figures
 from tests import ROOT, processes
 from tests.budget import subcommands
 from tests.processes import start
@@ -233,7 +235,9 @@ def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
         printing |= {name for line in help if line.startswith("  --json ")}
     assert printing == {*DATA.split(), "oracle check"}
     help = " ".join(subcommands(parser)["render"].format_help().split())
-    assert "with a field of view of 41 degrees" in help
+    camera = figures.held_camera(SimpleNamespace(box=np.zeros((2, 3))), size=100)
+    angle = np.degrees(2 * np.arctan(50 / camera.f_x))
+    assert f"with a field of view of {angle:.3g} degrees" in help
 
 
 def test_every_command_has_its_function():
