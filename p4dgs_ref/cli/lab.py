@@ -39,9 +39,14 @@ def effects(arguments):
     from ..lab import effect_ledger
 
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
+    require(
+        not (arguments.suggest and arguments.output),
+        f"-o {arguments.output}",
+        "expected without --suggest, which writes no files",
+    )
     if arguments.suggest:
         return suggest_effects(arguments)
-    with filled(arguments.output) as staging:
+    with filled(arguments.output or "report/effects") as staging:
         scene = load_scene(arguments.scene)
         rows = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
         effect_ledger.draw_ledger(staging / "effects.png", rows)
@@ -82,7 +87,12 @@ def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
     from ..lab.tables import compare, curve
 
-    study, seeds = curve if arguments.curve else compare, arguments.seeds
+    study, seeds = curve if arguments.curve else compare, arguments.seeds or 3
+    require(
+        not arguments.quick or not arguments.seeds and len(arguments.scenes) < 2,
+        "--quick",
+        "expected without --seeds and with at most one scene, because it takes one of each",
+    )
     scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
     if arguments.quick:
         scenes, seeds = scenes[:1], 1
@@ -94,7 +104,7 @@ def ablate_parts(arguments):
     from ..lab.tables import ablate
 
     scene = load_scene(arguments.scene)
-    make_table(arguments, ablate, scene, arguments.output, arguments.seeds)
+    make_table(arguments, ablate, scene, arguments.output, arguments.seeds or 3)
 
 
 def classroom(arguments):

@@ -100,9 +100,7 @@ SETTINGS = (
 )
 EXPERIMENT = (
     JSON,
-    option(
-        "--seeds", type=bounded(int, 1, 1000), default=3, metavar="N", help="seeds 0 to N - 1 (3)"
-    ),
+    option("--seeds", type=bounded(int, 1, 1000), metavar="N", help="seeds 0 to N - 1 (3)"),
     option(
         "--iterations",
         type=bounded(int, 4),
@@ -345,10 +343,7 @@ GROUPS = {
                 switch("--suggest", "only say which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 JOBS,
-                output(
-                    "folder for the picture and the table (report/effects)",
-                    default="report/effects",
-                ),
+                output("folder for the picture and the table (report/effects)"),
             ),
         ),
         "compare": (
