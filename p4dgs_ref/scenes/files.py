@@ -73,12 +73,13 @@ def read_image(folder, name, where):
     place = f"{where}: {file}"
     with reading(file, f"a PNG of {PIXELS}", where), open(file, "rb") as stream:
         with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
-            shape, described = opened.properties().shape, opened.metadata()
+            shape = opened.properties().shape
             require(
                 math.prod(shape) <= MAX_PICTURE,
                 place,
                 f"{shape} numbers; expected a PNG of at most {MAX_PICTURE}",
             )
+            described = opened.metadata()  # this decodes the pixels
             mode = described["mode"]
             # Pillow would give other kinds, such as CMYK, as if their numbers were RGB or RGBA.
             require(mode in MODES, place, f"pixels of kind {mode}; expected {PIXELS}")
