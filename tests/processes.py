@@ -13,7 +13,7 @@ from tests import ROOT
 PATHS = os.pathsep.join(map(str, (Path(p4dgs_ref.__file__).resolve().parents[1], ROOT)))
 # A folder where `python -c` and `python -m`, which look into it first, find no package.
 ASIDE = ROOT / "tests"
-CAPTURED = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+CAPTURED = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
 
 
 def run(*options, env=None):

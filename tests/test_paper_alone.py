@@ -48,7 +48,7 @@ def in_copy(folder, *command):
         cwd=folder,
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
-        text=True,
+        encoding="utf-8",
     )
 
 

@@ -161,7 +161,7 @@ def test_two_commands_are_those_of_the_check():
     shown = section("Two commands", README)
     first, second = re.search(r"```sh\n(.*?)```", shown, re.DOTALL)[1].splitlines()
     *install, main_job = first.split(" && ")
-    script = (ROOT / ".ci" / "run").read_text().replace('"$room"/', "")
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8").replace('"$room"/', "")
     lines = [line.strip() for line in script.splitlines()]
     assert main_job == ".venv/bin/p4dgs-ref demo" and install[0] == "python3 -m venv .venv"
     steps = [*install, f"halves {second} tests", f"halves {second} -m slow tests"]
@@ -200,7 +200,7 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, commands, t
     programs.mkdir()
     temporary.mkdir()
     for name, text in (("python3", STUB), ("recorder", PROGRAM)):
-        (programs / name).write_text(text)
+        (programs / name).write_text(text, encoding="utf-8")
         (programs / name).chmod(0o755)
     environment = {
         **os.environ,
@@ -225,7 +225,7 @@ def test_check_fails_where_a_test_fails_and_leaves_nothing(tmp_path, commands, t
     rooms = ("equations", "splatting", "scenes", "training", "codec")
     vectors = "tests/oracle/test_vectors.py tests/oracle/test_published.py"
     paper = f"{' '.join(f'tests/{room}' for room in rooms)} {vectors}"
-    first, *called = log.read_text().splitlines()
+    first, *called = log.read_text(encoding="utf-8").splitlines()
     assert first == "pip install .[test]"
     used = USED[: 1 if commands else None]
     assert all(line.startswith(f"p4dgs-ref {name}") for line, name in zip(called, used))
@@ -264,7 +264,7 @@ def test_shares_divide_the_slow_tests():
             cwd=ROOT,
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
         )
         found.append({line for line in done.stdout.splitlines() if "::" in line})
     one, other, every = found

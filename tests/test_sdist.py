@@ -40,5 +40,5 @@ def test_source_distribution_is_whole(tmp_path):
     assert files(unpacked) == files(source)
     names = ["tests/equations/test_numerics.py", "tests/test_lessons.py"]
     run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *names]
-    result = subprocess.run(run, cwd=unpacked, capture_output=True, text=True)
+    result = subprocess.run(run, cwd=unpacked, capture_output=True, encoding="utf-8")
     assert result.returncode == 0, result.stdout

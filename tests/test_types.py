@@ -22,7 +22,7 @@ def test_pyright_finds_nothing_in_the_equations_and_little_elsewhere():
     pyright = shutil.which("pyright", path=os.pathsep.join([beside, os.environ["PATH"]]))
     if pyright is None:
         pytest.skip("pyright is not installed")
-    run = subprocess.run([pyright, "--outputjson"], cwd=ROOT, capture_output=True, text=True)
+    run = subprocess.run([pyright, "--outputjson"], cwd=ROOT, capture_output=True, encoding="utf-8")
     found = json.loads(run.stdout)["generalDiagnostics"]
     rooms = Counter(room_of(Path(row["file"])) for row in found if row["severity"] == "error")
     assert not CLEAN & set(rooms), rooms

@@ -73,7 +73,7 @@ from .weights import read_networks, read_steps, round_networks, write_networks
 VERSION = 2
 FIXED = len(MAGIC) + 2  # bytes of magic, version and w
 # Files name the base designs, so none of them may ever change.
-BASES = json.loads(Path(__file__).with_name("bases.json").read_text())
+BASES = json.loads(Path(__file__).with_name("bases.json").read_text(encoding="utf-8"))
 
 
 # --- the frame ------------------------------------------------------------------------------------

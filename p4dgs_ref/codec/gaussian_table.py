@@ -97,7 +97,7 @@ class Model(NamedTuple):
 @cache
 def lookup_table(name):
     """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
-    tables = json.loads(Path(__file__).with_name("tables.json").read_text())
+    tables = json.loads(Path(__file__).with_name("tables.json").read_text(encoding="utf-8"))
     return np.array(tables[name], np.int64)
 
 

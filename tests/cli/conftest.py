@@ -77,7 +77,7 @@ def scene(tmp_path_factory):
             file = {"file_path": f"./{split}/r_{i}", "time": float(i)}
             frames.append({**file, "transform_matrix": pose.tolist()})
         described = json.dumps({"camera_angle_x": 0.7, "frames": frames})
-        (folder / f"transforms_{split}.json").write_text(described)
+        (folder / f"transforms_{split}.json").write_text(described, encoding="utf-8")
     return folder
 
 

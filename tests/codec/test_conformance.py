@@ -25,7 +25,7 @@ from tests.golden import conformance, plain_decoder
 from tests.golden.both import NEEDS_OURS
 from tests.sampling import few
 
-MANIFEST = json.loads((FOLDER / "manifest.json").read_text())
+MANIFEST = json.loads((FOLDER / "manifest.json").read_text(encoding="utf-8"))
 GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))
 # Without `beyond` nobody reads the streams of version 2.
 READ = [

@@ -135,7 +135,7 @@ def kept(model):
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
-    good = json.loads((FOLDER / "manifest.json").read_text())["good"]
+    good = json.loads((FOLDER / "manifest.json").read_text(encoding="utf-8"))["good"]
     files = [*DEMO, *(FOLDER / row["file"] for row in good)]
     paths = [path for path in files if path.read_bytes()[8] in VERSIONS]
     seed, seen = date.today().toordinal(), Counter()

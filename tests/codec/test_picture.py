@@ -15,7 +15,7 @@ W, X_C = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([-1.5, -8, 3.5
 
 
 def test_the_worked_numbers_are_those_of_the_package():
-    text = PICTURE.read_text()
+    text = PICTURE.read_text(encoding="utf-8")
     assert text.strip() in page() and len(text.splitlines()) <= 80
     pairs = re.findall(r"^    (\w+) = \(?([-\d., ]+)\)?$", text, re.M)
     said = {name: np.array(numbers.split(","), float) for name, numbers in pairs}

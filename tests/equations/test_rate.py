@@ -19,7 +19,9 @@ from tests import ROOT
 
 # Rows of every regime of Eq. (11).
 BINS = ROOT / "tests" / "golden" / "data" / "gaussian_bin_constants.json"
-Z, W, *_ = (np.array(column)[None] for column in zip(*json.loads(BINS.read_text())["rows"]))
+Z, W, *_ = (
+    np.array(column)[None] for column in zip(*json.loads(BINS.read_text(encoding="utf-8"))["rows"])
+)
 BOTH = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 
 

@@ -36,7 +36,9 @@ def kept():
 def main():
     """Make both files and keep what they are."""
     hashes = {preset: sha256(file(preset)) for preset in ("tiny_coded", "tiny")}
-    DEMO.write_text(json.dumps({"arithmetic": with_what(), **hashes}, indent=1) + "\n")
+    DEMO.write_text(
+        json.dumps({"arithmetic": with_what(), **hashes}, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

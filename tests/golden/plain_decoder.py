@@ -13,7 +13,7 @@ from math import ceil, frexp, isfinite, ldexp, prod
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
-TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text())
+TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text(encoding="utf-8"))
 BASES = PACKAGE / "beyond" / "bases.json"  # of version 2
 SECTIONS = (
     "header",
@@ -129,7 +129,7 @@ def read_header(body, size, version):
     try:
         h = json.loads(body.decode("ascii"))
         if version == 2:
-            h = {**json.loads(BASES.read_text())[h["as"]], **h}
+            h = {**json.loads(BASES.read_text(encoding="utf-8"))[h["as"]], **h}
             need(h["position_bits"] in range(1, 17), "header", "bits")
         resolutions = [R for _, R in h["grid"]]
         for name, (least, most, *counts) in RANGES.items():

@@ -22,7 +22,9 @@ from tests.golden.both import quantise
 from tests.tutorials import drawn
 
 TABLE = json.loads(
-    (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text()
+    (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text(
+        encoding="utf-8"
+    )
 )
 Z, W, BITS, BITS_X, BITS_Q = (np.array(column) for column in zip(*TABLE["rows"]))
 SMALL = load_scene("bouncing", downscale=8)
@@ -275,7 +277,7 @@ def check_page(folder, result):
         assert f"| {row['knob']} " in table and f"## {row['knob']}\n" in page
         assert f"![{row['knob']}]({name}.png)" in page
         files |= {f"{name}.csv", f"{name}.png"}
-        assert len((folder / f"{name}.csv").read_text().splitlines()) > 2
+        assert len((folder / f"{name}.csv").read_text(encoding="utf-8").splitlines()) > 2
     assert {file.name for file in folder.iterdir()} == files
     assert report.to_text(result, folder).splitlines()[0] == table.splitlines()[0]
     return page

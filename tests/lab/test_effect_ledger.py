@@ -52,7 +52,7 @@ def test_ledger(tmp_path):
     assert background["worth_db"] > 0.5
     assert f"{background['worth_db']:+.2f}\n" in effect_ledger.to_text(rows)
     effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
-    with open(tmp_path / "ledger.csv", newline="") as file:
+    with open(tmp_path / "ledger.csv", newline="", encoding="utf-8") as file:
         assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)
     assert (tmp_path / "ledger.png").stat().st_size > 10_000
 

@@ -198,13 +198,15 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
     assert "written to" in capsys.readouterr().out
     listed = ("occlusion", "background")
-    assert json.loads((folder / "scene.json").read_text()) == {"effects": list(listed)}
+    assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == {
+        "effects": list(listed)
+    }
     assert load_scene(folder).effects == listed
     described_as = {"title": "mine", "effects": ["background", "texture"], "bodies": []}
-    (folder / "scene.json").write_text(json.dumps(described_as))
+    (folder / "scene.json").write_text(json.dumps(described_as), encoding="utf-8")
     assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
-    assert json.loads((folder / "scene.json").read_text()) == kept
+    assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == kept
 
 
 @pytest.mark.parametrize(
@@ -225,6 +227,6 @@ def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_
     line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
     assert run(f"{line} -o {tmp_path / 'run'}") == 0
     assert "--suggest --apply" in capsys.readouterr().err
-    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}')
+    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}', encoding="utf-8")
     assert run(f"{line} -o {tmp_path / 'other'}") == 0
     assert "--suggest" not in capsys.readouterr().err

@@ -48,7 +48,8 @@ class Port:
 
     def __call__(self, twist="pass", start="", **options):
         self.script.write_text(
-            PORT.format(log=str(self.log), start=start, twist=twist.replace("\n", "\n    "))
+            PORT.format(log=str(self.log), start=start, twist=twist.replace("\n", "\n    ")),
+            encoding="utf-8",
         )
         self.adapter = Adapter(
             f"{shlex.quote(sys.executable)} -S {shlex.quote(str(self.script))}", **options
@@ -56,7 +57,7 @@ class Port:
         return self.adapter
 
     def pids(self):
-        return [int(line) for line in self.log.read_text().split()]
+        return [int(line) for line in self.log.read_text(encoding="utf-8").split()]
 
 
 def here(twist):
@@ -87,7 +88,10 @@ def port(tmp_path):
 def alive(pid):
     """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+        return (
+            Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0]
+            != "Z"
+        )
     except (FileNotFoundError, ProcessLookupError):
         return False
 
@@ -181,7 +185,7 @@ def test_what_a_port_is_sent(port, tmp_path):
             **{"in.weights.0": np.eye(2), "in.mask": np.array([True]), "in.index": np.array([3])},
         )
     )
-    start, request = map(json.loads, (tmp_path / "sent").read_text().splitlines())
+    start, request = map(json.loads, (tmp_path / "sent").read_text(encoding="utf-8").splitlines())
     assert start == {"p4dgs_oracle": 1, "dtype": "float32"}
     assert {key: request[key] for key in ("id", "subject", "equation", "settings")} == {
         "id": "identity/c",
@@ -395,7 +399,7 @@ def test_a_subject_that_always_kills_costs_three_starts(port):
     assert verdicts(ask, 9, "cursed") == ["died"] * 9 and len(port.pids()) == 3
     assert verdicts(ask, 2) == ["ok"] * 2 and len(port.pids()) == 4
     ask.close()
-    port.log.write_text("")
+    port.log.write_text("", encoding="utf-8")
     ask = port("if n: sys.exit(1)")  # but of three subjects in a row, none is asked any more
     assert [verdict(ask, case("0", subject)) for subject in "abcdefgh"] == ["died"] * 8
     assert len(port.pids()) == 3

@@ -355,4 +355,6 @@ def test_half_precision_is_told_why_it_is_not_judged(tmp_path):
     file.write_bytes(file.read_bytes().replace(b'"F16"', b'"B16"'))
     result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
     assert result.verdict == "damaged" and "bfloat16 is not judged" in result.explanation
-    assert "Half and bfloat16 are not judged" in (published.FOLDER / "README.md").read_text()
+    assert "Half and bfloat16 are not judged" in (published.FOLDER / "README.md").read_text(
+        encoding="utf-8"
+    )

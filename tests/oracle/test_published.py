@@ -196,7 +196,7 @@ def bind(axes, array, lengths, may_be_off, what):
 
 
 def test_flags_say_what_they_hunt(manifest):
-    flags = json.loads((published.FOLDER / "FLAGS.json").read_text())
+    flags = json.loads((published.FOLDER / "FLAGS.json").read_text(encoding="utf-8"))
     assert {name: f"{row['description']}: {row['hunts']}" for name, row in flags.items()} == FLAGS
     assert all(
         row["equations"] and set(row["equations"]) <= set(ALL_EQUATIONS) for row in flags.values()

@@ -78,7 +78,9 @@ def built(tmp_path_factory):
         need((build or run)[0])
         (place / f"reader.{LANGUAGES[language]}").write_text(program(language), encoding="utf-8")
         if build:
-            done = subprocess.run(build, cwd=place, capture_output=True, text=True, timeout=120)
+            done = subprocess.run(
+                build, cwd=place, capture_output=True, encoding="utf-8", timeout=120
+            )
             assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
         return place, run
 
@@ -99,7 +101,7 @@ def command(built, tmp_path):
         place, run = built(language)
         for file in place.iterdir():
             shutil.copy(file, tmp_path)
-        done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(run, cwd=tmp_path, capture_output=True, encoding="utf-8", timeout=60)
         return done.returncode, done.stdout, done.stderr
 
     return ran
@@ -251,7 +253,7 @@ def write(language, path, tensors):
     else:
         need("node")
         command = ["node", str(script), str(path)]
-        subprocess.run(command, input=json.dumps(rows), text=True, check=True, timeout=60)
+        subprocess.run(command, input=json.dumps(rows), encoding="utf-8", check=True, timeout=60)
 
 
 def answers(key, port):

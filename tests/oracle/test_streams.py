@@ -88,7 +88,9 @@ def test_the_names_tell_the_version():
 def test_our_own_answers_pass(ours):
     assert not check(ours)
     assert sorted(path.stem for path in (ours / "codec").iterdir()) == sorted([*GOOD, "refusals"])
-    assert set(json.loads((ours / "codec" / "refusals.json").read_text())) == set(BAD)
+    assert set(json.loads((ours / "codec" / "refusals.json").read_text(encoding="utf-8"))) == set(
+        BAD
+    )
 
 
 def test_they_come_from_the_decoder(tmp_path, monkeypatch):
@@ -196,13 +198,19 @@ def test_what_is_not_there_or_damaged(folder):
 
 def test_refusals(folder):
     path = folder / "codec" / "refusals.json"
-    reasons = json.loads(path.read_text())
-    path.write_text(json.dumps({**reasons, "nothing": None, "truncated": 3, "full": "too large"}))
+    reasons = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(
+        json.dumps({**reasons, "nothing": None, "truncated": 3, "full": "too large"}),
+        encoding="utf-8",
+    )
     wrong = check(folder, "nothing", "truncated", "full")
     verdicts = {name: (r.verdict, r.explanation) for name, r in wrong.items()}
     assert [verdict for verdict, _ in verdicts.values()] == ["fail", "damaged", "fail"]
     assert "too large" in verdicts["full"][1] and "a file of no bytes" in verdicts["nothing"][1]
-    path.write_text(json.dumps({name: why for name, why in reasons.items() if name != "no_json"}))
+    path.write_text(
+        json.dumps({name: why for name, why in reasons.items() if name != "no_json"}),
+        encoding="utf-8",
+    )
     assert {name: r.verdict for name, r in check(folder).items()} == {"no_json": "missing"}
     shutil.copy(folder / "codec" / "full.safetensors", folder / "codec" / "no_json.safetensors")
     assert check(folder, "no_json")["no_json"].verdict == "fail"
@@ -216,8 +224,12 @@ def test_refusals(folder):
 def forget(folder, names, why=None):
     """Take answers away. With `why`, the port refuses these streams."""
     file = folder / "codec" / "refusals.json"
-    reasons = {n: w for n, w in json.loads(file.read_text()).items() if n not in names}
-    file.write_text(json.dumps(reasons | dict.fromkeys(names, why) if why else reasons))
+    reasons = {
+        n: w for n, w in json.loads(file.read_text(encoding="utf-8")).items() if n not in names
+    }
+    file.write_text(
+        json.dumps(reasons | dict.fromkeys(names, why) if why else reasons), encoding="utf-8"
+    )
     for name in names:
         (folder / "codec" / f"{name}.safetensors").unlink(missing_ok=True)
 
@@ -295,7 +307,7 @@ def test_a_picture_shows_what_the_arrays_do_not():
 @pytest.mark.slow
 def test_through_a_process(tmp_path):
     script = tmp_path / "decoder.py"
-    script.write_text(DECODER)
+    script.write_text(DECODER, encoding="utf-8")
     with Adapter(shlex.join([sys.executable, str(script)]), timeout=60) as port:
         assert {r.verdict for r in streams.check(port)} == {"pass"}
 

@@ -88,7 +88,7 @@ def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
     words = " ".join(page().split())
     # the vocabulary of errors, and where the expected numbers stand
     assert published.__doc__.strip() in page()
-    for row in json.loads((published.FOLDER / "manifest.json").read_text())["bad"]:
+    for row in json.loads((published.FOLDER / "manifest.json").read_text(encoding="utf-8"))["bad"]:
         assert row["kind"] in words.split("`kind` is one of")[1].split("Types are")[0]
     for sentence in (
         "The tail must have taken every word that step 2 put on the stack.",

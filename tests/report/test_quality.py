@@ -53,10 +53,10 @@ def test_a_thin_body_that_moves_is_not_lost(name, tmp_path, recwarn):
 @pytest.mark.slow
 def test_thin_rods_over_a_slab_are_lost_with_a_warning_and_clearly_better_with_b3(tmp_path):
     """The rods' pixels, by a quarter of a training, against the mean of the training pictures."""
-    description = json.loads((THIN / "slab_and_rods.json").read_text())
+    description = json.loads((THIN / "slab_and_rods.json").read_text(encoding="utf-8"))
     p4.simulate(THIN / "slab_and_rods.json", tmp_path / "rods")
     slab = description | {"bodies": description["bodies"][:1]}
-    (tmp_path / "slab.json").write_text(json.dumps(slab))
+    (tmp_path / "slab.json").write_text(json.dumps(slab), encoding="utf-8")
     p4.simulate(tmp_path / "slab.json", tmp_path / "slab")
     scene, still = p4.load_scene(tmp_path / "rods"), p4.load_scene(tmp_path / "slab")
     mean = np.mean([view.image for view in scene.train], axis=0)

@@ -46,13 +46,16 @@ def lens(i, **changes):
 
 def write(file, value):
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(value))
+    file.write_text(json.dumps(value), encoding="utf-8")
 
 
 def edit(file, **fields):
     """Change fields of a JSON file; None removes one."""
-    data = {**json.loads(file.read_text()), **fields}
-    file.write_text(json.dumps({name: value for name, value in data.items() if value is not None}))
+    data = {**json.loads(file.read_text(encoding="utf-8")), **fields}
+    file.write_text(
+        json.dumps({name: value for name, value in data.items() if value is not None}),
+        encoding="utf-8",
+    )
 
 
 def write_pictures(folder, ratio, width, height):
@@ -104,7 +107,7 @@ def test_a_point_of_the_files_lands_where_the_files_say(folder):
     """Its pixel counts from the corner of the full picture, so a picture of half the size has half
     of that, and our coordinates half a pixel less."""
     write_pictures(folder, 2, WIDTH // 2, HEIGHT // 2)
-    file = json.loads((folder / f"camera/{LEFT[2]}.json").read_text())
+    file = json.loads((folder / f"camera/{LEFT[2]}.json").read_text(encoding="utf-8"))
     point = np.array(file["position"]) + orientation(2).T @ [0.3, -0.2, 4.0]
     u = file["focal_length"] * 0.3 / 4 + file["principal_point"][0]
     v = file["focal_length"] * file["pixel_aspect_ratio"] * -0.2 / 4 + file["principal_point"][1]
@@ -155,7 +158,7 @@ def test_pictures_of_a_distorting_lens_are_straightened(folder, name, ratio):
     file = folder / f"camera/{LEFT[1]}.json"
     edit(file, **DISTORTED[name])
     view = load_scene(folder).train[1]
-    data = {"radial_distortion": [0] * 3, **json.loads(file.read_text())}
+    data = {"radial_distortion": [0] * 3, **json.loads(file.read_text(encoding="utf-8"))}
     k = data["radial_distortion"]
     p_1, p_2 = data.get("tangential_distortion", data.get("tangential"))
     f, (c_x, c_y) = data["focal_length"], data["principal_point"]
@@ -204,7 +207,7 @@ def test_anchors_start_from_the_points(folder, tmp_path):
     started = Trainer(scene, preset).parameters["x_a"]
     np.testing.assert_allclose(started, wanted, atol=2e-3)
     lines = [f"{i} {x} {y} {z} 9 9 9 0.5 1 2 3 4" for i, (x, y, z) in enumerate(POINTS[:3])]
-    (tmp_path / "points3D.txt").write_text("# of COLMAP\n" + "\n".join(lines))
+    (tmp_path / "points3D.txt").write_text("# of COLMAP\n" + "\n".join(lines), encoding="utf-8")
     others = read_points_for(scene, tmp_path / "points3D.txt")
     np.testing.assert_allclose(others, (POINTS[:3] - CENTER) * SCALE, atol=1e-12)
     assert len(Trainer(scene, preset, points=others).parameters["x_a"]) == 3

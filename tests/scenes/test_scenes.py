@@ -60,7 +60,8 @@ def write_folder(
                 }
             )
         (folder / f"transforms_{split}.json").write_text(
-            json.dumps({**({"camera_angle_x": 0.69} if head is None else head), "frames": frames})
+            json.dumps({**({"camera_angle_x": 0.69} if head is None else head), "frames": frames}),
+            encoding="utf-8",
         )
     return pictures
 
@@ -72,9 +73,9 @@ def folder(tmp_path):
 
 
 def edit(folder, change, name="transforms_train.json"):
-    data = json.loads((folder / name).read_text())
+    data = json.loads((folder / name).read_text(encoding="utf-8"))
     change(data)
-    (folder / name).write_text(json.dumps(data))
+    (folder / name).write_text(json.dumps(data), encoding="utf-8")
 
 
 def test_a_folder_in_the_published_layout(tmp_path):
@@ -416,7 +417,7 @@ def test_a_png_that_promises_many_pixels(folder, side, words, recwarn):
 
 
 def text(name, content):
-    return lambda folder: (folder / name).write_text(content)
+    return lambda folder: (folder / name).write_text(content, encoding="utf-8")
 
 
 def effects(names):

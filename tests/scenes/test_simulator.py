@@ -185,7 +185,7 @@ def test_cameras_survive_the_way_through_the_file(tmp_path):
 
 
 def test_views_times_and_sizes_of_the_packaged_scenes():
-    readme = (packaged_folder() / "README.md").read_text()
+    readme = (packaged_folder() / "README.md").read_text(encoding="utf-8")
     for name in ("bouncing", "figure", "glossy", "static", "orientation", "orbit"):
         scene = load_scene(name)
         assert (len(scene.train), len(scene.test)) == (48, 10)
@@ -275,12 +275,12 @@ def test_mistakes_in_a_description(change, place, expected, tmp_path):
 def test_descriptions_in_files(tmp_path):
     file, taken = tmp_path / "scene.json", tmp_path / "taken"
     refuse(["scene.json: missing"], simulate, file, tmp_path / "out")
-    file.write_text(json.dumps({**FULL, "light": {"kind": "lamp"}}))
+    file.write_text(json.dumps({**FULL, "light": {"kind": "lamp"}}), encoding="utf-8")
     refuse(["scene.json: light.kind: 'lamp'"], simulate, file, tmp_path / "out")
-    file.write_text(json.dumps(FULL))
+    file.write_text(json.dumps(FULL), encoding="utf-8")
     simulate(file, tmp_path / "new" / "out")
-    assert (tmp_path / "new" / "out" / "scene.json").read_text() == json.dumps(FULL)
+    assert (tmp_path / "new" / "out" / "scene.json").read_text(encoding="utf-8") == json.dumps(FULL)
     assert len(load_scene(tmp_path / "new" / "out").train) == 3
-    taken.write_text("")
+    taken.write_text("", encoding="utf-8")
     with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
         simulate(FULL, taken)

@@ -36,14 +36,16 @@ def test_committed_scenes_can_be_drawn_again(name, tmp_path):
 
 def rounded(file):
     """The text of a JSON file with numbers as far as another NumPy has the same digits."""
-    return json.dumps(json.loads(file.read_text(), parse_float=lambda s: round(float(s), 9)))
+    return json.dumps(
+        json.loads(file.read_text(encoding="utf-8"), parse_float=lambda s: round(float(s), 9))
+    )
 
 
 def test_the_size_of_twocams_is_stated():
     files = [path for path in (packaged_folder() / "twocams").rglob("*.*") if path.is_file()]
     assert len(files) == 2 * (48 + 12) + 4
     size = sum(file.stat().st_size for file in files)
-    assert f"| {size:,} |" in (packaged_folder() / "README.md").read_text()
+    assert f"| {size:,} |" in (packaged_folder() / "README.md").read_text(encoding="utf-8")
 
 
 def test_twocams_is_read_as_it_was_drawn():

@@ -58,10 +58,12 @@ def small_camera(camera, width=8):
 
 def described(name, effects):
     """The description of a packaged scene with another list of effects."""
-    data = json.loads((packaged_folder() / name / "scene.json").read_text())
+    data = json.loads((packaged_folder() / name / "scene.json").read_text(encoding="utf-8"))
     return {**data, "effects": list(effects)}
 
 
 def simulated_effects(name):
     """The effects that the description of a packaged scene lists."""
-    return json.loads((packaged_folder() / name / "scene.json").read_text())["effects"]
+    return json.loads((packaged_folder() / name / "scene.json").read_text(encoding="utf-8"))[
+        "effects"
+    ]

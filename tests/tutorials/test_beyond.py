@@ -23,7 +23,9 @@ def test_records_have_the_form_of_tutorials():
 @pytest.mark.slow
 def test_the_record_of_networks_runs_and_its_decision_quotes_the_table(tmp_path):
     path, settings = FOLDER / "beyond_networks.py", {**os.environ, "P4DGS_TUTORIALS_OUT": tmp_path}
-    done = subprocess.run([sys.executable, path], capture_output=True, text=True, env=settings)
+    done = subprocess.run(
+        [sys.executable, path], capture_output=True, encoding="utf-8", env=settings
+    )
     assert done.returncode == 0, done.stderr
     decision = path.read_text(encoding="utf-8").split("# ## Decision")[1]
     prices = re.findall(r"^ +0\.\d{5} +9 +(\S+) +(\S+) +\S+$", done.stdout, re.M)

@@ -90,9 +90,9 @@ None
 def write_small(folder):
     """Write two tutorials into a folder; return the first."""
     (folder / "solutions").mkdir(parents=True)
-    (folder / "01_small.py").write_text(SMALL)
-    (folder / "solutions" / "01_small.py").write_text("")
-    (folder / "02_next.py").write_text('# %%\n"last"\n')
+    (folder / "01_small.py").write_text(SMALL, encoding="utf-8")
+    (folder / "solutions" / "01_small.py").write_text("", encoding="utf-8")
+    (folder / "02_next.py").write_text('# %%\n"last"\n', encoding="utf-8")
     return folder / "01_small.py"
 
 
@@ -142,12 +142,12 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
     (folder / "notebooks").mkdir()
     for source in notebooks.tutorials(folder):
         file = folder / "notebooks" / f"{source.stem}.ipynb"
-        file.write_text(json.dumps(notebooks.unrun(source)))
+        file.write_text(json.dumps(notebooks.unrun(source)), encoding="utf-8")
     assert form.problems(folder) == []
-    small.write_text(SMALL + "\n")  # the cells are the same, the hash is not
+    small.write_text(SMALL + "\n", encoding="utf-8")  # the cells are the same, the hash is not
     assert form.problems(folder) == ["01_small: stale"]
-    small.write_text(SMALL)
-    (folder / "notebooks" / "03_gone.ipynb").write_text("{}")
+    small.write_text(SMALL, encoding="utf-8")
+    (folder / "notebooks" / "03_gone.ipynb").write_text("{}", encoding="utf-8")
     assert form.problems(folder) == ["03_gone: no such tutorial"]
 
 
@@ -164,13 +164,13 @@ def test_missing_stale_and_orphaned_notebooks_are_found(small):
 def test_error_names_the_tutorial(code, message, small):
     folder = small.parent / "notebooks"
     folder.mkdir()
-    (folder / "01_small.ipynb").write_text("as before")
-    small.write_text(f"# %%\n1\n# %%\n{code}\n")
+    (folder / "01_small.ipynb").write_text("as before", encoding="utf-8")
+    small.write_text(f"# %%\n1\n# %%\n{code}\n", encoding="utf-8")
     with pytest.raises(SystemExit) as stopped:
         notebooks.main(["01"], small.parent)
     error = str(stopped.value)
     assert error.startswith("01_small.py, ") and message in error and "\n" not in error
-    assert [file.read_text() for file in folder.iterdir()] == ["as before"]
+    assert [file.read_text(encoding="utf-8") for file in folder.iterdir()] == ["as before"]
 
 
 @pytest.mark.slow

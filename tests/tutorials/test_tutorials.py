@@ -40,7 +40,7 @@ def source(tutorial, solution=False):
 def run(paths, out):
     """Run files without a display in one process; return lessons.RESULTS."""
     shared.run("tutorials", ["-W", "error::RuntimeWarning", "-c", RUN, *paths], out)
-    return json.loads((out / "results.json").read_text())
+    return json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
 # --- running --------------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ def test_needles_have_all_their_digits(ratio):
     asked = {name: a.tolist() for name, a in gaussians.items()}
     asked["camera"] = described(needles.CAMERA)
     said = subprocess.check_output(
-        ["node", "-e", NEEDLE, VIEWER], input=json.dumps(asked), text=True
+        ["node", "-e", NEEDLE, VIEWER], input=json.dumps(asked), encoding="utf-8"
     )
     for drawn in json.loads(said):
         image, _ = needles.truth(ratio)
@@ -132,7 +132,7 @@ def test_pictures_and_bits_are_those_of_the_package():
     asked = [{**described(view.camera), "t": view.time} for view in views]
     said = json.loads(
         subprocess.check_output(
-            ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(asked), text=True
+            ["node", "-e", DRAW, VIEWER, DEMO], input=json.dumps(asked), encoding="utf-8"
         )
     )
     for (exact, nearly, canvas), view in zip(said["drawn"], views, strict=True):

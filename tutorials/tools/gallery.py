@@ -163,13 +163,15 @@ def code_hash(name):
 
 def record(names):
     """Note in gallery.json that the code as it is drew these pictures."""
-    drawn = json.loads(DRAWN.read_text()) | {name: code_hash(name) for name in names}
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8")) | {
+        name: code_hash(name) for name in names
+    }
     write_text(DRAWN, json.dumps(drawn, indent=1, sort_keys=True) + "\n")
 
 
 def stale():
     """Names of the pictures that other code than today's has drawn."""
-    drawn = json.loads(DRAWN.read_text())
+    drawn = json.loads(DRAWN.read_text(encoding="utf-8"))
     return [name for name in {**PICTURES, **DRAW} if drawn.get(name) != code_hash(name)]
 
 

@@ -146,7 +146,7 @@ def make(source):
         out, result = Path(beside) / "out", Path(beside) / "outputs.json"
         out.mkdir()
         run(source.name, ["-c", START, source.resolve(), result], out)
-        for cell, outputs in zip(code, json.loads(result.read_text("utf-8")), strict=True):
+        for cell, outputs in zip(code, json.loads(result.read_text(encoding="utf-8")), strict=True):
             cell["outputs"] = outputs
         target = folder / f"{source.stem}.ipynb"
         write_text(

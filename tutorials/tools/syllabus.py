@@ -218,7 +218,9 @@ def run(name, out):
 
 MADE = {  # what draws pictures and is no numbered tutorial with a solution
     # Without a file of its own it writes into `out` below the current folder, as in a notebook.
-    "00": lambda out: shared.run("00", ["-c", (FOLDER / "00_whole_paper.py").read_text()], out),
+    "00": lambda out: shared.run(
+        "00", ["-c", (FOLDER / "00_whole_paper.py").read_text(encoding="utf-8")], out
+    ),
     "beyond": lambda out: run("beyond_networks", out),
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,

@@ -233,7 +233,10 @@ def executed(path, eq):
 def main(path):
     """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
     reference = alone(Path(path).stem)
-    requests, replies = os.fdopen(os.dup(0)), os.fdopen(os.dup(1), "w")
+    requests, replies = (
+        os.fdopen(os.dup(0), encoding="utf-8"),
+        os.fdopen(os.dup(1), "w", encoding="utf-8"),
+    )
     os.dup2(2, 1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # input() in a student's file ends at once
     for request in map(json.loads, requests):

@@ -91,7 +91,7 @@ def collect(tasks, folder):
         "against": [against(rows, name) for name in labels[1:]],
         "stretch": stretch_of(rows),
     }
-    (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n")
+    (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     write_csv(folder / "compare.csv", rows)
     draw_grid(folder / "compare.png", shown)
     return result

@@ -60,7 +60,8 @@ def whole(tmp_path_factory):
 def test_bodies_are_removed_and_nothing_else(key, whole):
     for name, source in sources_of(key).items():
         complete, handed_out = (
-            (whole / folder / f"{name}.py").read_text() for folder in ("key", "student")
+            (whole / folder / f"{name}.py").read_text(encoding="utf-8")
+            for folder in ("key", "student")
         )
         assert complete == source
         removed = set(functions_in(source)) - COMPLETE.get(name, set())
@@ -80,14 +81,14 @@ def test_bodies_are_removed_and_nothing_else(key, whole):
 
 
 def test_shape_comments_and_the_unpacking_of_saved_stay(room):
-    text = (room / "student" / "offsets.py").read_text()
+    text = (room / "student" / "offsets.py").read_text(encoding="utf-8")
     assert "    O_a,  # [A, k, 3]  learned offsets (multiples of l_a)\n" in text
     assert "    O_a, l_a = saved\n    raise NotImplementedError(" in text
     assert "x_a[:, None, :]" not in text
 
 
 def test_readme_lists_every_file_with_its_tutorial(whole):
-    text = (whole / "student" / "README.md").read_text()
+    text = (whole / "student" / "README.md").read_text(encoding="utf-8")
     for key in KEYS:
         for name in modules_of(key):
             tutorial = f"tutorials/{lessons.tutorial_of(key).name}.py"
@@ -98,9 +99,12 @@ def test_readme_lists_every_file_with_its_tutorial(whole):
 
 def test_eq_9_imports_the_nodes_that_the_student_wrote(tmp_path):
     for name, source in sources_of("hash_grid").items():
-        (tmp_path / f"{name}.py").write_text(source)
+        (tmp_path / f"{name}.py").write_text(source, encoding="utf-8")
     nodes = tmp_path / "grid_nodes.py"
-    nodes.write_text(nodes.read_text() + "\n\ndef locate():\n    return 'mine'\n")
+    nodes.write_text(
+        nodes.read_text(encoding="utf-8") + "\n\ndef locate():\n    return 'mine'\n",
+        encoding="utf-8",
+    )
     before = sys.modules.copy()
     eq = classroom.load(tmp_path / "hash_grid.py")
     assert vars(sys.modules[eq.module])["locate"]() == "mine"
@@ -109,15 +113,15 @@ def test_eq_9_imports_the_nodes_that_the_student_wrote(tmp_path):
 
 def test_students_work_survives_a_second_classroom(room):
     mine = "def forward(x_a, O_a, l_a):\n    return 'mine'\n"
-    (room / "student" / "offsets.py").write_text(mine)
+    (room / "student" / "offsets.py").write_text(mine, encoding="utf-8")
     done = classroom.hand_out(room, ["offsets", "view"])
     assert done["kept"] == ["offsets"] and done["equations"] == ["view"]
-    assert (room / "student" / "offsets.py").read_text() == mine
+    assert (room / "student" / "offsets.py").read_text(encoding="utf-8") == mine
     assert keys_of(room) == keys_of(room / "key") == ["offsets", "view"]
 
 
 def test_refusals_leave_nothing_behind(tmp_path):
-    (tmp_path / "taxes.txt").write_text("mine")
+    (tmp_path / "taxes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(classroom.ClassroomError, match="expected a classroom"):
         classroom.hand_out(tmp_path)
     with pytest.raises(classroom.ClassroomError, match="'opacities': expected one of offsets"):
@@ -132,9 +136,9 @@ def test_refusals_leave_nothing_behind(tmp_path):
 def test_loading_leaves_the_table_alone(room):
     before, modules = list(EQUATIONS.items()), set(sys.modules)
     path = room / "student" / "offsets.py"
-    path.write_text("def forward(x_a, O_a, l_a):\n    return 'mine', 0\n")
+    path.write_text("def forward(x_a, O_a, l_a):\n    return 'mine', 0\n", encoding="utf-8")
     assert classroom.load(path)(x_a=1, O_a=2, l_a=3) == {"x": "mine"}
-    path.write_text("1 / 0")
+    path.write_text("1 / 0", encoding="utf-8")
     with pytest.raises(ZeroDivisionError):
         classroom.load(path)
     assert list(EQUATIONS.items()) == before

@@ -84,7 +84,9 @@ def write(folder, key, forward=None, backward=None):
                     f"    {line}" for line in body.splitlines()
                 ]
                 source = "\n".join(lines) + "\n"
-        (folder / "student" / f"{name}.py").write_text("import numpy as np\n" + source)
+        (folder / "student" / f"{name}.py").write_text(
+            "import numpy as np\n" + source, encoding="utf-8"
+        )
 
 
 @pytest.fixture
@@ -447,8 +449,10 @@ def course(tmp_path_factory):
     for name in ("anna", "ben", "carla", "dora"):
         shutil.copytree(folder / "course" / "student", folder / name / "student")
     shutil.copytree(folder / "course" / "key", folder / "anna" / "student", dirs_exist_ok=True)
-    (folder / "ben" / "student" / "likelihood.py").write_text(PRINTED)
-    (folder / "dora" / "student" / "likelihood.py").write_text(PRINTED.replace("above", "upper"))
+    (folder / "ben" / "student" / "likelihood.py").write_text(PRINTED, encoding="utf-8")
+    (folder / "dora" / "student" / "likelihood.py").write_text(
+        PRINTED.replace("above", "upper"), encoding="utf-8"
+    )
     write(folder / "ben", "offsets", forward=WITHOUT_SCALING)
     return folder
 
@@ -461,7 +465,7 @@ def grade_all(folder, *names, **options):
 def test_a_class_is_graded_by_the_same_inputs_in_one_table(course, tmp_path):
     grades = grade_all(course, "anna", "ben", "carla", "dora")
     classroom.write(grades, tmp_path)
-    rows = list(csv.DictReader((tmp_path / "grades.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "grades.csv").read_text(encoding="utf-8").splitlines()))
     anna, ben, carla, _ = rows
     assert [row["copied"] for row in rows] == ["2", "0", "0", "0"]
     assert [row["alike"] for row in rows] == ["0", "1", "0", "1"]
@@ -475,10 +479,10 @@ def test_a_class_is_graded_by_the_same_inputs_in_one_table(course, tmp_path):
     # the points of one student alone, by the seed that was printed
     again = grade_all(course, "ben", seed=grades["seed"])
     assert again["students"] == grades["students"][1:2]
-    value = json.loads((tmp_path / "grades.json").read_text())
+    value = json.loads((tmp_path / "grades.json").read_text(encoding="utf-8"))
     assert value == json.loads(json.dumps(grades))
     assert value["students"][1]["equations"][0]["tutorial"] == "01_offsets"
-    assert (tmp_path / "grades.txt").read_text() == text + "\n"
+    assert (tmp_path / "grades.txt").read_text(encoding="utf-8") == text + "\n"
 
 
 @pytest.mark.slow
@@ -493,7 +497,7 @@ def test_command_line_grades_and_refuses_in_one_line(room, capsys):
     options = ["--seed", "3", "-o", str(room / "marks")]
     assert run(["grade", str(room), str(room), *options], 0) == 0
     text = capsys.readouterr().out
-    assert (room / "marks" / "grades.txt").read_text() == text
+    assert (room / "marks" / "grades.txt").read_text(encoding="utf-8") == text
     file = room / "README.md"  # found before anything is graded
     assert run(["grade", str(room), "-o", str(file)], 0) == 2
     assert run(["grade", str(room), str(room / "nobody")], 0) == 2

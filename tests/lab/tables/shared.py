@@ -13,5 +13,5 @@ FIRST = ["method", "scene", "seed", "psnr_db", "bytes"]
 
 
 def table(path):
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))

@@ -16,7 +16,9 @@ CHOSEN = [OURS, *(label for name in OTHERS for label in (name, f"{name} sh_degre
 
 def test_every_method_has_a_row_for_each_seed(compared):
     folder, result = compared
-    assert json.loads((folder / "compare.json").read_text()) == json.loads(json.dumps(result))
+    assert json.loads((folder / "compare.json").read_text(encoding="utf-8")) == json.loads(
+        json.dumps(result)
+    )
     rows = result["methods"]
     assert [(row["seed"], row["label"]) for row in rows] == [(s, m) for s in (0, 1) for m in CHOSEN]
     for row in rows:

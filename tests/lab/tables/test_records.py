@@ -55,11 +55,11 @@ def test_only_rows_without_a_sha256_are_made(scene, tmp_path, monkeypatch):
     tasks = [Task(scene, "d3dgs_small", seed, tmp_path / "files", 2) for seed in (0, 1)]
     file = tmp_path / "records" / "some.csv"
     file.parent.mkdir()
-    file.write_text(f"file,sha256,psnr_db\n{tasks[0].path.name},12345e67,0.25\n")
+    file.write_text(f"file,sha256,psnr_db\n{tasks[0].path.name},12345e67,0.25\n", encoding="utf-8")
     monkeypatch.setattr(records, "FOLDER", tmp_path)
     monkeypatch.setitem(records.PLANS, "some", lambda scenes, folder: tasks)
     records.main("some", 1)
-    kept, made = csv.DictReader(file.read_text().splitlines())
+    kept, made = csv.DictReader(file.read_text(encoding="utf-8").splitlines())
     assert (kept["sha256"], kept["psnr_db"]) == ("12345e67", "0.25")
     assert not tasks[0].record.exists() and [made["file"]] == [tasks[1].path.name]
     assert made["sha256"] == records.rows("some")[1]["sha256"] and made["command"]
