@@ -1,6 +1,7 @@
 """`python -m p4dgs_ref` and `p4dgs-ref`: settings that precede NumPy, then the command line."""
 
 import io
+import os
 import sys
 import time
 
@@ -10,6 +11,7 @@ from .arithmetic import prepare
 def main(argv: list[str] | None = None) -> int:
     """Run the command line and return the exit code; SIGTERM is treated as Ctrl-C."""
     start = time.perf_counter()
+    os.environ["MPLBACKEND"] = "Agg"  # that of a notebook may not be installed here
     try:
         from .signals import deferred, handled, interrupt
 

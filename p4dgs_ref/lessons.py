@@ -66,6 +66,7 @@ STYLE = {
     "lines.linewidth": 2,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.prop_cycle": f"cycler(color={list(COLORS)})",
 }
 ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
 NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
@@ -108,17 +109,21 @@ def tutorial_of(key):
 
 # --- figures --------------------------------------------------------------------------------------
 def pyplot():
-    """Return matplotlib.pyplot in the style of the tutorials.
+    """Return matplotlib.pyplot in the style of the tutorials, whatever the user's settings are."""
+    plt = bare_pyplot()
+    plt.style.use(["default", STYLE])
+    return plt
 
-    It opens windows only in a notebook or at an interactive prompt.
-    """
-    import matplotlib
 
+def bare_pyplot():
+    """Return matplotlib.pyplot, with windows only in a notebook or at an interactive prompt."""
     if not interactive():
+        os.environ["MPLBACKEND"] = "Agg"  # before the import: a notebook's may not be installed
+        import matplotlib
+
         matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    plt.rcParams.update({**STYLE, "axes.prop_cycle": plt.cycler(color=COLORS)})
     return plt
 
 
@@ -184,10 +189,10 @@ def show(figure, name, title="", size=16):
     place = out() / f"{name}.png"
     write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
     if interactive():
-        pyplot().show(block=False)
+        bare_pyplot().show(block=False)
     else:
         print(f"figure: {place.parent.name}/{place.name}")
-        pyplot().close(figure)
+        bare_pyplot().close(figure)
 
 
 # --- checks of gradients --------------------------------------------------------------------------

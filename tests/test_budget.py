@@ -93,7 +93,10 @@ def test_everything_is_counted():
 
 def test_statements_are_counted_without_docstrings(tmp_path):
     file = tmp_path / "sample.py"
-    file.write_text('"""A module."""\nx = 1\ndef f():\n    """A function."""\n    return [x]\n')
+    file.write_text(
+        '"""A module."""\nx = 1\ndef f():\n    """A function."""\n    return [x]\n',
+        encoding="utf-8",
+    )
     assert statements(file) == 3
     assert sum(rooms().values()) == counted()["package"]
 
@@ -106,6 +109,20 @@ def test_lines_are_short():
         if len(line) > WIDTH
     ]
     assert not long
+
+
+def as_text(call):
+    """Whether a call opens, reads or writes text, or pipes it, in the encoding of the system."""
+    name, given = ast.unparse(call.func), {word.arg: word.value for word in call.keywords}
+    mode = given.get("mode") or (call.args[1] if len(call.args) > 1 else ast.Constant("r"))
+    if name in ("open", "os.fdopen") or name.endswith((".read_text", ".write_text")):
+        return "encoding" not in given and "b" not in ast.literal_eval(mode)
+    return "text" in given or "universal_newlines" in given
+
+
+def test_text_is_utf_8_on_every_system():
+    calls = [(f, node) for f in FILES for node in ast.walk(parse(f)) if isinstance(node, ast.Call)]
+    assert [f"{name_of(f)}:{call.lineno}" for f, call in calls if as_text(call)] == []
 
 
 def test_functions_hold_one_idea():
@@ -233,6 +250,23 @@ def test_patches_are_found(line):
     assert len(list(patches(tree))) == 1
 
 
+MAKES_FIGURES = re.compile(r"(?<![.\w])(figures\.)?(new_figure|subplots|save_figure)\(")
+
+
+def test_every_figure_is_drawn_in_a_style_of_the_project():
+    """And only tutorials use pyplot, whose figures and backend belong to the program."""
+    plain = [
+        f"{file.stem}: {node.name}"
+        for file in [*PACKAGE_FILES, *(ROOT / "tutorials" / "tools").glob("*.py")]
+        for node in inside(parse(file))
+        if isinstance(node, ast.FunctionDef) and MAKES_FIGURES.search(ast.unparse(node.body))
+        if "styled(" not in "".join(map(ast.unparse, node.decorator_list))
+    ]
+    assert plain == ["figures: subplots"]
+    users = [name_of(file) for file in PACKAGE_FILES if "import matplotlib.pyplot" in read(file)]
+    assert users == ["p4dgs_ref/lessons.py"]
+
+
 def test_the_package_imports_only_the_named_packages():
     for file in PACKAGE_FILES:
         allowed = {"numpy", "scipy"} if room_of(file) == "equations" else PACKAGES
@@ -273,7 +307,8 @@ def test_imports_are_seen_wherever_they_stand(tmp_path):
         "import p4dgs_ref.cli.parser\n"
         "def late():\n"
         "    from ..report.figures import pyplot\n"
-        "    import torch.nn\n"
+        "    import torch.nn\n",
+        encoding="utf-8",
     )
     assert imported_rooms(file, package) == {"training", "model", "cli", "report"}
     assert "torch.nn" in set(imported(file, package))

@@ -5,7 +5,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 
 import p4dgs_ref as p4
@@ -18,6 +17,7 @@ from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.fields import SceneError
+from ..scenes.files import write_image
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
@@ -171,7 +171,9 @@ def decode(arguments):
     }
     with filled(arguments.output, arguments.file) as staging:
         np.savez(staging / "model.npz", **arrays)
-        (staging / "model.json").write_text(json.dumps(vars(model.design), indent=1) + "\n")
+        (staging / "model.json").write_text(
+            json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
+        )
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
@@ -234,9 +236,7 @@ def render(arguments):
             write_atomically(place, lambda file: file.write(figures.gif_of(images)))
         else:
             for (name, *_), image in zip(views, images):
-                pixels = (image * 255).round().astype(np.uint8)
-                png = iio.imwrite("<bytes>", pixels, extension=".png")
-                (place / f"{name}.png").write_bytes(png)
+                write_image(place / f"{name}.png", (image * 255).round().astype(np.uint8))
             if not arguments.scene:
                 (place / "motion.gif").write_bytes(figures.gif_of(images))
     tell(f"{output}: {len(images)} images")

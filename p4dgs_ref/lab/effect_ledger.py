@@ -17,7 +17,7 @@ from .. import effects as fx
 from ..designs import choose, decode, encode, trainer_of
 from ..model import declared_numbers
 from ..report.evaluate import evaluate
-from ..report.figures import BLUE, ORANGE, pyplot, save_figure, write_csv
+from ..report.figures import BLUE, ORANGE, save_figure, styled, subplots, write_csv
 from ..report.jobs import in_processes
 from ..scenes.scene import MODEL_EFFECTS
 from ..training.watch import equation_codes, watching
@@ -175,6 +175,7 @@ def to_text(rows):
     return "\n".join([*text_table(COLUMNS, cells), "", UNITS])
 
 
+@styled()
 def draw_ledger(path, rows):
     """Three bar charts, blue for listed effects and orange for the others; a CSV beside."""
     panels = {
@@ -182,7 +183,7 @@ def draw_ledger(path, rows):
         "bytes_on": ("bytes in the file", "{:,.0f}"),
         "worth_db": ("PSNR with it minus without it (dB)", "{:+.2f}"),
     }
-    figure, axes = pyplot().subplots(1, 3, figsize=(13, 4.6), sharey=True, layout="constrained")
+    figure, axes = subplots(1, 3, figsize=(13, 4.6), sharey=True)
     colors = [BLUE if row["called_for"] else ORANGE for row in rows]
     for ax, (name, (label, form)) in zip(axes, panels.items()):
         bars = ax.barh([row["effect"] for row in rows], [row[name] for row in rows], color=colors)

@@ -1,10 +1,14 @@
 """The pictures of a run, each with a CSV: test views, motion, bytes, training."""
 
 import csv
+import io
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
 from ..attributes import ATTRIBUTES
+from ..scenes.files import image_bytes
 from ..splatting import render
 from ..splatting.camera import look_at
 from ..splatting.settings import FAST
@@ -26,39 +30,54 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#00
 BLUE, RED, GREEN, PINK, ORANGE, LIGHT_BLUE, _ = COLORS
 STACK = (BLUE, ORANGE, GREEN, PINK)
 ERROR_RANGE = 0.25  # the end of the error pictures' colours, the same in every report
+STYLE = {  # letters that stay readable in a small picture
+    "font.size": 13,
+    "axes.titlesize": 13,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.dpi": 110,
+    "savefig.bbox": "tight",
+}
 
 
-def pyplot():
-    """matplotlib.pyplot without a window, with a font that stays readable in a small picture."""
-    import matplotlib
+@contextmanager
+def styled(settings=STYLE):
+    """Within this context, or this decorator, figures look the same in every program.
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    The settings of matplotlib are its defaults and these; afterwards they are as they were.
+    """
+    from matplotlib import style
 
-    plt.rcParams.update(
-        {
-            "font.size": 13,
-            "axes.titlesize": 13,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "figure.dpi": 110,
-            "savefig.bbox": "tight",
-        }
-    )
-    return plt
+    with style.context(["default", settings]):
+        yield
+
+
+def new_figure(**settings):
+    """A figure that pyplot does not know: it has no window, and the program keeps its backend."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    return FigureCanvasAgg(Figure(**settings)).figure
+
+
+def subplots(*shape, figsize, layout="constrained", **settings):
+    """A new figure and its axes, like those of pyplot."""
+    figure = new_figure(figsize=figsize, layout=layout)
+    return figure, figure.subplots(*shape, **settings)
 
 
 def save_figure(figure, path):
     """Write a PNG without matplotlib's version in it, so that equal pictures are equal files."""
-    with open(path, "wb") as file:  # a path's file would be removed again where the disk is full
-        figure.savefig(file, metadata={"Software": None})
-    pyplot().close(figure)
+    # In memory first: `savefig` would remove the file where the disk is full, and its name is said.
+    png = io.BytesIO()
+    figure.savefig(png, metadata={"Software": None})
+    Path(path).write_bytes(png.getvalue())
 
 
 def write_csv(path, rows):
     """Write rows {column: value} as CSV; what a row lacks is left empty."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    with open(path, "w", newline="") as file:
+    with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -75,14 +94,12 @@ def literal(text):
     return text.replace("$", r"\$")
 
 
+@styled()
 def draw_pictures(path, title, rows):
     """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
     shape = len(rows), len(rows[0][1])
-    figure, axes = pyplot().subplots(
-        *shape,
-        figsize=(2.6 * shape[1] + 0.5, 9.2 / 3 * shape[0]),
-        squeeze=False,
-        layout="constrained",
+    figure, axes = subplots(
+        *shape, figsize=(2.6 * shape[1] + 0.5, 9.2 / 3 * shape[0]), squeeze=False
     )
     for row, (label, pictures) in zip(axes, rows):
         for ax, (picture, above) in zip(row, pictures):
@@ -135,15 +152,9 @@ def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
 
 def gif_of(images):
     """The bytes of a GIF of images (H, W, 3) in [0, 1] that plays forwards and backwards."""
-    import imageio.v3 as iio
-
-    return iio.imwrite(
-        "<bytes>",
-        [(image * 255).round().astype(np.uint8) for image in (*images, *images[-2:0:-1])],
-        extension=".gif",
-        duration=60,
-        loop=0,
-    )
+    pictures = (*images, *images[-2:0:-1])
+    frames = [(image * 255).round().astype(np.uint8) for image in pictures]
+    return image_bytes(frames, ".gif", duration=60, loop=0)
 
 
 def write_motion(path, model, camera, frames=24, zoom=4):
@@ -155,6 +166,7 @@ def write_motion(path, model, camera, frames=24, zoom=4):
     path.write_bytes(gif_of(images))
 
 
+@styled()
 def write_size(folder, measured):
     """size.csv and size.png: bytes by component, from {name: metrics} of one or two designs.
 
@@ -174,7 +186,7 @@ def write_size(folder, measured):
     sizes = {label: sum(components.values()) for label, components in designs.items()}
     explicit, last = metrics["explicit_bytes"], [*designs.values()][-1]
     names = sorted(last, key=last.get)
-    figure, ax = pyplot().subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)))
+    figure, ax = subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)), layout=None)
     height = 0.8 / len(designs)
     for i, (color, (label, components)) in enumerate(zip(STACK, designs.items())):
         values = [components[name] for name in names]
@@ -199,6 +211,7 @@ def write_size(folder, measured):
     save_figure(figure, folder / "size.png")
 
 
+@styled()
 def draw_ledger(path, rows):
     """Every section as a stacked bar: entropy, integer model, coder, headers.
 
@@ -213,9 +226,7 @@ def draw_ledger(path, rows):
         "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
         "+ headers": [row["header_bytes"] for row in rows],
     }
-    figure, (left, right) = pyplot().subplots(
-        1, 2, figsize=(12, 5.5), sharey=True, layout="constrained"
-    )
+    figure, (left, right) = subplots(1, 2, figsize=(12, 5.5), sharey=True)
     for ax, skip in ((left, 0), (right, 1)):
         start = np.zeros(len(rows))
         for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
@@ -245,6 +256,7 @@ def heat_image(model, colors, camera, t, settings=FAST):
     return image
 
 
+@styled()
 def write_heat(folder, model, bits, camera):
     """heat.csv, and heat.png: Gaussians in colours for the bits (A,) of their anchors, histogram.
 
@@ -257,11 +269,11 @@ def write_heat(folder, model, bits, camera):
             for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
         ],
     )
-    plt = pyplot()
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(11, 5), layout="constrained", width_ratios=(1.2, 1)
-    )
-    scale = plt.cm.ScalarMappable(plt.Normalize(bits.min(), bits.max()), "viridis")
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure, (left, right) = subplots(1, 2, figsize=(11, 5), width_ratios=(1.2, 1))
+    scale = ScalarMappable(Normalize(bits.min(), bits.max()), "viridis")
     left.imshow(np.clip(heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5), 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)
@@ -275,13 +287,12 @@ def write_heat(folder, model, bits, camera):
     save_figure(figure, folder / "heat.png")
 
 
+@styled()
 def write_training(folder, history, stage_ends):
     """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
     write_csv(folder / "training.csv", [dict(zip(COLUMNS, row)) for row in history])
     table = dict(zip(COLUMNS, np.array(history, float).T))
-    figure, (top, bottom) = pyplot().subplots(
-        2, 1, figsize=(8.5, 6), sharex=True, layout="constrained"
-    )
+    figure, (top, bottom) = subplots(2, 1, figsize=(8.5, 6), sharex=True)
     at, values = table["iteration"], table["psnr_db"]
     top.plot(at, values, ".", color=LIGHT_BLUE, markersize=4, label="the iteration's view")
     width = max(1, min(10, len(values) // 4))

@@ -146,8 +146,7 @@ def main_job(
         absent(Path(folder) / file)
     for sentence in doubts(scene, preset, seed):
         warn(sentence)
-    # The report looks the same whatever style a program or a user's settings have chosen.
-    with filled(folder) as staging, report.pyplot().style.context("default"):
+    with filled(folder) as staging:
         (ours, rows, images, model, history), paper = designs(
             scene, preset, seed, staging / f"{name}.p4dgs", stream, jobs
         )
@@ -175,5 +174,7 @@ def main_job(
         warn(ours["warning"])
         warn(paper and paper["warning"] and f"{paper_name(preset)}: {paper['warning']}")
         metrics["seconds"] = time.perf_counter() - start
-        (staging / "metrics.json").write_text(json.dumps(json_safe(metrics), indent=1) + "\n")
+        (staging / "metrics.json").write_text(
+            json.dumps(json_safe(metrics), indent=1) + "\n", encoding="utf-8"
+        )
     return metrics

@@ -87,6 +87,17 @@ def read_image(folder, name, where):
             return as_float(opened.read(mode="RGBA" if clear else "RGB"), place)
 
 
+def image_bytes(pixels, ending, **settings):
+    """Pixels in 8 bits, or the pictures of a GIF, in the format whose names have this ending."""
+    return iio.imwrite("<bytes>", pixels, extension=ending, **settings)
+
+
+def write_image(path, pixels, **settings):
+    """Write pixels in 8 bits in the format that the path ends with."""
+    # In memory first: on a full disk imageio would leave an open file, whose end is an error, too.
+    path.write_bytes(image_bytes(pixels, path.suffix, **settings))
+
+
 def shrink(image, color, downscale, where):
     """The picture over a colour and its alpha (None for RGB), both sides divided by `downscale`."""
     require(

@@ -1,11 +1,13 @@
 """Mistakes of users: one line with file or option and field, exit code 2, nothing left behind."""
 
+import gc
 import json
 import math
 import os
 import re
 import resource
 import shutil
+import sys
 from functools import partial
 
 import imageio.v3 as iio
@@ -37,10 +39,10 @@ def original(scene, tmp_path_factory):
     data = p4.encode(trainer.model())
     (place / "good.p4dgs").write_bytes(data)
     (place / "cut.p4dgs").write_bytes(data[:-5])
-    (place / "text").write_text("not what you think\n")
+    (place / "text").write_text("not what you think\n", encoding="utf-8")
     (place / "report").mkdir()
     (place / "report" / "scene.p4dgs").write_bytes(data)
-    (place / "report" / "metrics.json").write_text("{}")
+    (place / "report" / "metrics.json").write_text("{}", encoding="utf-8")
     (place / "run.p4dgs").write_bytes(data)
     (place / "scene" / "still.gif").write_bytes(b"another picture of the scene")
     (place / "folder.gif").mkdir()
@@ -64,19 +66,19 @@ def edit_frame(name, **fields):
 
     def edit(place):
         file = place / "scene" / f"transforms_{name}.json"
-        data = json.loads(file.read_text())
+        data = json.loads(file.read_text(encoding="utf-8"))
         data["frames"][1].update(fields)
         data["frames"][1] = {
             key: value for key, value in data["frames"][1].items() if value is not None
         }
-        file.write_text(json.dumps(data))
+        file.write_text(json.dumps(data), encoding="utf-8")
 
     return edit
 
 
 def rewrite(file, change):
     return lambda place: (place / "scene" / file).write_text(
-        change((place / "scene" / file).read_text())
+        change((place / "scene" / file).read_text(encoding="utf-8")), encoding="utf-8"
     )
 
 
@@ -150,7 +152,7 @@ SCENES = [
     (
         "unknown effect",
         lambda place: (place / "scene/scene.json").write_text(
-            '{"effects": ["rotation", "teleport"]}'
+            '{"effects": ["rotation", "teleport"]}', encoding="utf-8"
         ),
         ("scene.json: effects", "teleport", "translation"),
     ),
@@ -176,7 +178,9 @@ SCENES = [
     ),
     (
         "an effect in red",
-        lambda place: (place / "scene/scene.json").write_text('{"effects": ["\\u001b[31m"]}'),
+        lambda place: (place / "scene/scene.json").write_text(
+            '{"effects": ["\\u001b[31m"]}', encoding="utf-8"
+        ),
         ("scene.json: effects", "\\x1b[31m"),
     ),
 ]
@@ -202,7 +206,10 @@ def without(name):
         (without("scene.json"), ("two/scene.json", "missing", "NeRF-DS")),
         (without("dataset.json"), ("transforms_train.json", "D-NeRF", "dataset.json")),
         (without("camera/000002_right.json"), ("camera/000002_right.json", "missing")),
-        (lambda f: (f / "metadata.json").write_text("[1]"), ("metadata.json", "a JSON object")),
+        (
+            lambda f: (f / "metadata.json").write_text("[1]", encoding="utf-8"),
+            ("metadata.json", "a JSON object"),
+        ),
     ],
 )
 def test_mistakes_in_scenes_of_nerf_ds(place, refused, mistake, words):
@@ -523,7 +530,8 @@ FULL = {
     "train scene -o out --preset smoke --quiet": "out/checkpoint.npz",
     "encode run -o out/x": "out/x",
     "decode good.p4dgs -o out": "out/model.npz",
-    "render good.p4dgs -o out --frames 1 --size 200": "out/t_000.png",
+    "render good.p4dgs -o out --frames 1 --size 64": "out/t_000.png",
+    "render good.p4dgs -o out --frames 40 --size 6": "out/motion.gif",
     "evaluate good.p4dgs scene -o out": "out/comparison.png",
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
     "inspect good.p4dgs -o out": "out/sections.png",
@@ -536,14 +544,17 @@ FULL = {
 @pytest.mark.parametrize("line", FULL)
 def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
     monkeypatch.chdir(original)
-    figures.pyplot()  # keeps a list of fonts, which is longer
+    ignored = []  # what files say that are dropped before they are closed
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    figures.new_figure()  # keeps a list of fonts, which is longer
     before, (_, most) = tree(), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
     try:
         code, out, err = run(line)
+        gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-    assert (code, out) == (2, "") and err.startswith("p4dgs-ref: ")
+    assert (code, out, ignored) == (2, "", []) and err.startswith("p4dgs-ref: ")
     assert err.endswith(f"{FULL[line]}: File too large\n") and PART not in err
     assert tree() == before
 

@@ -62,7 +62,7 @@ def names_in(folder):
 
 def test_demo(report):
     folder, out, err = report
-    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     assert metrics == json.loads(out)
     assert (metrics["scene"], metrics["preset"], metrics["seed"]) == ("bouncing", "smoke", 3)
     spent = [metrics[key] for key in ("train_seconds", "encode_seconds", "decode_seconds")]
@@ -130,13 +130,13 @@ def test_from_a_scene_to_a_file_and_back(ok):
         np.testing.assert_array_equal(arrays["psi_c.W0"], model.networks["psi_c"][0][0])
         np.testing.assert_array_equal(arrays["psi_c.b1"], model.networks["psi_c"][1][1])
         np.testing.assert_array_equal(arrays["f_a"], model.anchors.f_a)
-    assert json.loads(Path("arrays/model.json").read_text())["k"] == 3
+    assert json.loads(Path("arrays/model.json").read_text(encoding="utf-8"))["k"] == 3
     for gif in ("held/motion.gif", "moving/x.gif"):
         assert iio.imread(gif).shape == (4, 20, 20, 3)  # 0, 1, 2, 1
     view = p4.load_scene("bouncing").test[2]
     want = np.clip(model.render(view.camera, view.time, p4.SETTINGS["exact"]), 0, 1)
     np.testing.assert_allclose(iio.imread("views/test_r_002.png") / 255, want, atol=0.501 / 255)
-    assert len(Path("sizes/heat.csv").read_text().splitlines()) == 20 + 1
+    assert len(Path("sizes/heat.csv").read_text(encoding="utf-8").splitlines()) == 20 + 1
 
 
 def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
@@ -164,7 +164,7 @@ def test_train_on_the_layout_of_nerf_ds(ok):
     assert Path("views/000002_right.png").is_file()
     assert "view 000002_right" in ok("export-ply twocams.p4dgs --camera 0")
     lines = [f"{i} {i} 0 0 0 0 0 0 1 1" for i in range(3)]
-    Path("points3D.txt").write_text("\n".join(lines))
+    Path("points3D.txt").write_text("\n".join(lines), encoding="utf-8")
     assert "3 anchors" in ok(f"train twocams -o other --points points3D.txt {options}")
     with np.load("other/checkpoint.npz") as file:
         x = p4.load_scene("twocams").points  # what (x - center) scale made of the file's points
@@ -313,6 +313,14 @@ def test_importing_the_package_leaves_numpy_alone():
     assert processes.run("-c", code).returncode == 0
 
 
+@pytest.mark.slow
+def test_a_notebook_of_another_environment_may_start_commands(tmp_path):
+    environment = {**os.environ, "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    line = ["inspect", ROOT / "tutorials" / "demo.p4dgs", "-o", tmp_path]
+    done = processes.run("-m", "p4dgs_ref", *line, env=environment)
+    assert done.returncode == 0 and (tmp_path / "size.png").is_file(), done.stderr
+
+
 @pytest.fixture
 def place(scene, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -326,7 +334,7 @@ def test_one_scene_and_seed_by_all_sizes_of_a_method(place, run, refused):
     result = json.loads(run(line)[1])
     rows = result["rows"]
     assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
-    assert len((place / "out/curve.csv").read_text().splitlines()) == 1 + len(rows)
+    assert len((place / "out/curve.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(rows)
     (record,) = (place / "out").glob("points_*_4/*_p4dgs_seed0.json")
-    record.write_text("{")
+    record.write_text("{", encoding="utf-8")
     refused(line, (record.name, "JSON"))

@@ -29,6 +29,7 @@ from p4dgs_ref.training.loop import COLUMNS
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
 from tests.sampling import few
+from tests.tutorials import drawn
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*scene bouncing")  # 45 steps learn nothing
 PICTURES = {"comparison.png", "motion.gif", "size.png", "training.png"}
@@ -51,7 +52,7 @@ def done(scene, tmp_path_factory):
 
 
 def table(path):
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
@@ -78,7 +79,7 @@ def test_files_and_tables(done, scene):
     assert all((float(row["bits_per_parameter"]) > 0) == (row["stage"] == "4") for row in history)
     assert metrics["arithmetic"] == arithmetic()
     assert metrics["changes"] == CHANGES and metrics == json.loads(
-        (folder / "metrics.json").read_text()
+        (folder / "metrics.json").read_text(encoding="utf-8")
     )
 
 
@@ -93,6 +94,14 @@ def test_pictures(done, scene):
     for i, t in ((0, 0.0), (len(film) // 2, 1.0)):
         want = np.clip(decoded.render(view.camera, t), 0, 1).repeat(4, 0).repeat(4, 1)
         assert np.abs(film[i] / 255 - want).mean() < 0.01
+
+
+def test_pictures_are_the_same_in_a_program_with_other_settings(done, tmp_path):
+    folder, _ = done
+    history = [[*row.values()] for row in table(folder / "training.csv")]
+    with drawn.with_other_settings():
+        report.write_training(tmp_path, history, (10, 15, 30, 45))
+    assert (tmp_path / "training.png").read_bytes() == (folder / "training.png").read_bytes()
 
 
 def test_measures_against_sums_by_hand(scene):
@@ -157,7 +166,7 @@ def test_equal_images(tmp_path, recwarn):
         and metrics["gaussians"] == 0
         and metrics["psnr_fg_db"] is None
     )
-    written = json.loads((tmp_path / "metrics.json").read_text())
+    written = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
     assert (
         written["psnr_db"] is None
         and written["exact"] is True
@@ -229,7 +238,7 @@ def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
 
     monkeypatch.setattr(report, broken, fail)
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "size.csv").write_text("{}")
+    (tmp_path / "old" / "size.csv").write_text("{}", encoding="utf-8")
     for name in ("old", "new/deep"):
         with pytest.raises(RuntimeError, match="no ink"):
             p4.main_job(scene, "smoke", 0, tmp_path / name)
@@ -237,12 +246,12 @@ def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
         "old",
         "old/size.csv",
     ]
-    assert (tmp_path / "old" / "size.csv").read_text() == "{}"
+    assert (tmp_path / "old" / "size.csv").read_text(encoding="utf-8") == "{}"
 
 
 def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(job, "fit", lambda *args, **kwargs: pytest.fail("trained for nothing"))
-    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
     with pytest.raises(OutputError, match="file/report: expected a folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
     with pytest.raises(OSError, match="File name too long"):  # of the other file alone

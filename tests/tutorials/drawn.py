@@ -2,11 +2,23 @@
 
 import inspect
 import sys
+from contextlib import contextmanager
 from itertools import combinations
 
+import matplotlib
 from matplotlib.text import Text
 
 DRAW = inspect.unwrap(Text.draw).__code__
+
+
+@contextmanager
+def with_other_settings():
+    """Settings of a program in which a figure is drawn, and which must stay as they are."""
+    others = {"text.usetex": True, "font.size": 30, "savefig.format": "pdf", "axes.grid": True}
+    with matplotlib.rc_context(others):
+        before = dict.copy(matplotlib.rcParams)
+        yield
+        assert dict.copy(matplotlib.rcParams) == before
 
 
 def texts(figure):

@@ -4,6 +4,7 @@ from matplotlib.patches import FancyBboxPatch
 
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.table import EQUATIONS
+from tests.tutorials import drawn
 from tutorials.tools import architecture
 
 BOXES = [box for frame in architecture.FRAMES for box in frame.boxes]
@@ -30,6 +31,13 @@ def test_lit_boxes_stand_out_and_the_others_are_grey():
     assert frames == {"context", "file"}
     boxes = figure.axes[0].findobj(FancyBboxPatch)
     assert sum(box.get_linewidth() > 1 for box in boxes) == 2
+
+
+def test_the_file_is_the_same_whatever_was_drawn_before(tmp_path):
+    architecture.save(tmp_path / "a.png")
+    with drawn.with_other_settings():
+        architecture.save(tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_each_tutorial_lights_known_boxes():

@@ -5,12 +5,13 @@ decoded picture. The camera swings slowly, at times that no training view has, a
 plays forwards and backwards.
 """
 
-import imageio.v3 as iio
 import numpy as np
+from matplotlib import colormaps
 from scipy.cluster.vq import kmeans2, vq
 
 from p4dgs_ref.report import evaluate, figures
 from p4dgs_ref.scenes import load, scene, simulator
+from p4dgs_ref.scenes.files import write_image
 from p4dgs_ref.scenes.simulator.trace import trace
 
 FRAMES = 24
@@ -54,6 +55,7 @@ def with_palette(picture, colors):
 
 
 # --- frames ---------------------------------------------------------------------------------------
+@figures.styled()
 def frame(true, decoded, t, colors):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(decoded - true).mean(axis=2)
@@ -65,7 +67,7 @@ def frame(true, decoded, t, colors):
     )
     side = ZOOM * true.shape[1]
     width, height = 3 * side + 4 * GAP, HEAD + ZOOM * true.shape[0] + FOOT
-    figure = figures.pyplot().figure(figsize=(width / 100, height / 100), dpi=100)
+    figure = figures.new_figure(figsize=(width / 100, height / 100), dpi=100)
 
     def write(text, x, y, align):
         figure.text(x / width, y / height, text, ha=align, va="center", fontsize=11)
@@ -80,7 +82,6 @@ def frame(true, decoded, t, colors):
     write(f" ≥ {figures.ERROR_RANGE}", left + 3 * side // 4, FOOT / 2, "left")
     figure.canvas.draw()
     pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
-    figures.pyplot().close(figure)
     grey = (pixels == pixels[..., :1]).all(axis=2)  # letters: 16 greys leave colours for the rest
     pixels[grey] = np.rint(pixels[grey] / 17) * 17
     return pixels
@@ -88,7 +89,7 @@ def frame(true, decoded, t, colors):
 
 def error_colors(error):
     """The colours of errors [H, W] from 0 to figures.ERROR_RANGE, in ERROR_COLORS steps."""
-    return figures.pyplot().get_cmap("magma", ERROR_COLORS)(error / figures.ERROR_RANGE)[..., :3]
+    return colormaps["magma"].resampled(ERROR_COLORS)(error / figures.ERROR_RANGE)[..., :3]
 
 
 def write_animation(path, model, name="bouncing"):
@@ -101,4 +102,4 @@ def write_animation(path, model, name="bouncing"):
     pictures = [picture for true, decoded, _ in shown for picture in (true, decoded)]
     colors = palette(pictures, model.background)
     frames = [frame(*one, colors) for one in shown]
-    iio.imwrite(path, frames + frames[-2:0:-1], extension=".gif", duration=MILLISECONDS, loop=0)
+    write_image(path, frames + frames[-2:0:-1], duration=MILLISECONDS, loop=0)

@@ -14,6 +14,7 @@ from matplotlib.path import Path
 
 from p4dgs_ref import lessons
 from p4dgs_ref.lessons import TUTORIALS
+from p4dgs_ref.report.figures import styled
 
 BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = lessons.COLORS
 INK, DARK, GREY, WHITE = "#1a1a1a", "#606060", "#9a9a9a", "#ffffff"
@@ -229,13 +230,15 @@ def show(name):
     lessons.show(draw_method(keys or LIT.get(name, ())), f"{name[:2]}_map")
 
 
+@styled(lessons.STYLE)
 def draw_method(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
-    figure = lessons.pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
+    figure = lessons.bare_pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
     paint(figure.add_axes((0, 0, 1, 1)), lit)
     return figure
 
 
+@styled(lessons.STYLE)
 def save(path):
     """Write the drawing as a PNG, without matplotlib's version in it."""
     draw_method(dpi=150).savefig(path, metadata={"Software": None})

@@ -9,6 +9,7 @@ from collections import namedtuple
 from matplotlib.patches import Rectangle
 
 from p4dgs_ref import lessons
+from p4dgs_ref.report.figures import new_figure, styled
 from tutorials.tools import architecture
 
 PAGE = (8.27, 11.69)  # inches: A4
@@ -189,9 +190,10 @@ LEGEND = (
 UNDATED = dict.fromkeys(("Creator", "Producer", "CreationDate"))  # so that equal pages are equal
 
 
+@styled(lessons.STYLE)
 def draw_page():
     """Return the page as a figure."""
-    figure = lessons.pyplot().figure(figsize=PAGE, dpi=150)
+    figure = new_figure(figsize=PAGE, dpi=150)
     height = DRAWING * architecture.HEIGHT / architecture.WIDTH
     top = PAGE[1] - 0.62 - height
     axes = figure.add_axes(
@@ -220,6 +222,7 @@ def write(figure, x, y, text, size=8.2, **style):
     figure.text(x / PAGE[0], y / PAGE[1], text, size=size, color=architecture.INK, **style)
 
 
+@styled(lessons.STYLE)
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
     draw_page().savefig(path, metadata={"Title": TITLE, **UNDATED})

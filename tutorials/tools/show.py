@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
+from p4dgs_ref import lessons
 from p4dgs_ref.designs import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
@@ -32,7 +33,13 @@ PARTS = {  # of an anchor's bits: shades of RATE
     "offset scales": "#cc79a7",
     "offsets": "#e8bfd6",
 }
-STYLE = {"font.size": 16, "axes.titlesize": 18, "figure.dpi": 100, "axes.grid": False}
+STYLE = {  # of the tour's pictures
+    **lessons.STYLE,
+    "font.size": 16,
+    "axes.titlesize": 18,
+    "figure.dpi": 100,
+    "axes.grid": False,
+}
 MIN_SHARE = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
 
 

@@ -8,7 +8,6 @@ train in order to draw.
 
 from dataclasses import fields, replace
 
-import imageio.v3 as iio
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from scipy.special import ndtr
@@ -16,8 +15,9 @@ from scipy.special import ndtr
 from p4dgs_ref import designs, lessons, model, output
 from p4dgs_ref.beyond import file
 from p4dgs_ref.codec import quantise, rans
-from p4dgs_ref.report import evaluate, inspect
+from p4dgs_ref.report import evaluate, figures, inspect
 from p4dgs_ref.scenes import load, simulator
+from p4dgs_ref.scenes.files import write_image
 from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
@@ -202,16 +202,16 @@ PICTURES = {  # title: what fills its figure
 }
 
 
+@figures.styled(show.STYLE)
 def page(title):
     """The figure of one picture, 1,280 pixels wide."""
-    plt = lessons.pyplot()
-    with plt.rc_context(show.STYLE):
-        figure = plt.figure(figsize=(12.8, 7.2), layout="constrained")
-        PICTURES[title](figure)
-        figure.suptitle(title, x=0.01, ha="left", size=24, weight="bold")
+    figure = figures.new_figure(figsize=(12.8, 7.2), layout="constrained")
+    PICTURES[title](figure)
+    figure.suptitle(title, x=0.01, ha="left", size=24, weight="bold")
     return figure
 
 
+@figures.styled(lessons.STYLE)  # of the colour bars' numbers, which the drawing makes
 def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
@@ -224,7 +224,7 @@ def draw_pictures():
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-            iio.imwrite(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
+            write_image(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...report.figures import COLORS, pyplot, save_figure
+from ...report.figures import COLORS, save_figure, styled, subplots
 
 # The markers differ as well, for grey prints.
 LINE_COLORS = (*COLORS, "#8C6D31", "#808080")
@@ -113,12 +113,13 @@ def marker_boxes(line, half=4):
     return [Bbox([point - half, point + half]) for point in points[np.isfinite(points).all(axis=1)]]
 
 
+@styled()
 def write_figure(path, rows, x, y, enough, **properties):
     """A diagram of the columns x and y of rows, with properties of its axes.
 
     A dotted line is at the loss that is enough. Several lines have a legend.
     """
-    fig, ax = pyplot().subplots(figsize=(8, 4.4), layout="constrained")
+    fig, ax = subplots(figsize=(8, 4.4))
     ax.set(**properties)
     ax.margins(0.12, 0.15)
     lines(ax, rows, x, y)

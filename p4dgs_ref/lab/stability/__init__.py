@@ -29,7 +29,7 @@ import numpy as np
 
 from ...oracle import published
 from ...oracle.compare import cast
-from ...report.figures import pyplot, save_figure, write_csv
+from ...report.figures import save_figure, styled, subplots, write_csv
 from ...table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
@@ -212,8 +212,10 @@ def maps():
 
 def draw_maps(figure, axes, errors, titles, **text):
     """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
+    from matplotlib import colormaps
+
     distances, widths = plane()
-    colors, (low, high) = pyplot().get_cmap("viridis").with_extremes(over="red"), LEVELS
+    colors, (low, high) = colormaps["viridis"].with_extremes(over="red"), LEVELS
     for ax, log, title in zip(axes.ravel(), errors.values(), titles):
         # An infinite error is above the levels, every finite one at or below them.
         shown = np.where(np.isinf(log), high + 1, np.minimum(log, high))
@@ -230,12 +232,11 @@ def draw_maps(figure, axes, errors, titles, **text):
     figure.colorbar(mesh, ax=axes, location="right", shrink=0.8, extend="both", label=label)
 
 
+@styled()
 def draw_map(path):
     """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
     errors = maps()
-    figure, axes = pyplot().subplots(
-        2, 3, figsize=(8, 6.2), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, axes = subplots(2, 3, figsize=(8, 6.2), sharex=True, sharey=True)
     draw_maps(figure, axes, errors, map(", ".join, errors), fontsize=11)
     figure.suptitle(
         "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",

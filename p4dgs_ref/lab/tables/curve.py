@@ -11,8 +11,9 @@ from ...report.figures import (
     RED,
     STACK,
     literal,
-    pyplot,
     save_figure,
+    styled,
+    subplots,
     write_csv,
 )
 from ...report.inspect import components
@@ -202,13 +203,12 @@ def composition(files):
     ]
 
 
+@styled()
 def draw_curves(path, points, edge, title):
     """PSNR over the bytes of the file, and over those of the coded anchors alone."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-    figure, axes = pyplot().subplots(
-        1, 2, figsize=(11, 5), sharey=True, width_ratios=(2, 1), layout="constrained"
-    )
+    figure, axes = subplots(1, 2, figsize=(11, 5), sharey=True, width_ratios=(2, 1))
     axes[0].plot(*edge.T, "--", color="gray", label="envelope of the explicit methods")
     for ax, (size, label) in zip(axes, DRAWN.items()):
         ax.set(xscale="log", xlabel=label)

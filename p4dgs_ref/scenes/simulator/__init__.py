@@ -8,12 +8,12 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 
 from ...output import filled, new_file
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
+from ..files import write_image
 from . import trace
 from .description import read_description
 
@@ -46,11 +46,12 @@ def simulate(
         (folder / "scene.json").write_text(text, encoding="utf-8")
         for split, posed in views.items():
             (folder / split).mkdir()
-            (folder / f"transforms_{split}.json").write_text(transforms(split, posed))
+            (folder / f"transforms_{split}.json").write_text(
+                transforms(split, posed), encoding="utf-8"
+            )
         for done, (name, camera, t) in enumerate(named, 1):
             pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
-            png = iio.imwrite("<bytes>", pixels, extension=".png", optimize=True)
-            (folder / name).write_bytes(png)
+            write_image(folder / name, pixels, optimize=True)
             progress(done, len(named))
 
 
