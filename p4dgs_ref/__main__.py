@@ -8,9 +8,22 @@ import time
 from .arithmetic import prepare
 
 
+def open_streams():
+    """Lead the standard streams that a shell has closed (`2>&-`) to the null device.
+
+    Otherwise a file would get the number of such a stream, and the messages of other code.
+    """
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")
+            os.set_inheritable(stream.fileno(), True)  # for workers
+            setattr(sys, name, stream)
+
+
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line and return the exit code; SIGTERM is treated as Ctrl-C."""
+    """Run the command line and return the exit code; SIGTERM and SIGHUP are treated as Ctrl-C."""
     start = time.perf_counter()
+    open_streams()
     os.environ["MPLBACKEND"] = "Agg"  # that of a notebook may not be installed here
     try:
         from .signals import deferred, handled, interrupt

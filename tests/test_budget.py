@@ -229,8 +229,8 @@ def patches(tree):
 
 def test_no_module_assigns_to_an_attribute_of_another():
     """Who looks uses `training.watch`; who changes something passes it as an argument."""
-    # a hook that Python's documentation wants assigned, and an object of the function's own
-    allowed = ("warnings.showwarning", "setattr(values,")
+    # what Python's documentation wants assigned, and an object of the function's own
+    allowed = ("warnings.showwarning", "setattr(sys, name, stream)", "setattr(values,")
     found = [(name_of(file), patch) for file in PACKAGE_FILES for patch in patches(parse(file))]
     assert [(file, patch) for file, patch in found if not patch.startswith(allowed)] == []
 

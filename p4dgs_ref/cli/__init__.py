@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import sys
+from contextlib import suppress
 
 from ..limits import cut
 
@@ -27,6 +28,12 @@ def visible(text, kept=""):
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
 
 
+def whisper(text):
+    """Print on stderr; where it is full, or its terminal closed, the command goes on."""
+    with suppress(OSError):
+        print(text, end="", file=sys.stderr, flush=True)
+
+
 def progress(text=""):
     """Show a text as the last line of a terminal, in the place of the text before it.
 
@@ -35,13 +42,13 @@ def progress(text=""):
     """
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns - 1
-        print(f"\r{visible(text)[:width]}\x1b[K", end="", file=sys.stderr, flush=True)
+        whisper(f"\r{visible(text)[:width]}\x1b[K")
 
 
 def say(message):
     """Print a message on stderr as one line, whatever it quotes."""
     progress()
-    print(f"p4dgs-ref: {visible(cut(str(message)))}", file=sys.stderr)
+    whisper(f"p4dgs-ref: {visible(cut(str(message)))}\n")
 
 
 def caution(warning):

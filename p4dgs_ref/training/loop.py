@@ -17,6 +17,7 @@ and `grow_every`, and `stage(iteration)`, counted from 1.
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
@@ -159,4 +160,5 @@ class Progress:
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
         end = "" if self.live and done < total else "\n"
-        print(line, end=end, file=self.stream, flush=True)
+        with suppress(OSError):  # where the disk is full or the terminal closed, training goes on
+            print(line, end=end, file=self.stream, flush=True)

@@ -5,6 +5,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
@@ -319,6 +321,16 @@ def test_a_notebook_of_another_environment_may_start_commands(tmp_path):
     line = ["inspect", ROOT / "tutorials" / "demo.p4dgs", "-o", tmp_path]
     done = processes.run("-m", "p4dgs_ref", *line, env=environment)
     assert done.returncode == 0 and (tmp_path / "size.png").is_file(), done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+def test_streams_may_be_closed_or_full(tmp_path, closed):
+    """Also those of workers."""
+    line = "-m p4dgs_ref demo --preset smoke --set body=true --jobs 2 -o"
+    command = f"'{sys.executable}' {line} '{tmp_path}' {closed}"
+    done = subprocess.run(["sh", "-c", command], cwd=processes.ASIDE, **processes.CAPTURED)
+    assert done.returncode == 0 and (tmp_path / "metrics.json").is_file(), done.stdout
 
 
 @pytest.fixture
