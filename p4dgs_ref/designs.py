@@ -125,7 +125,7 @@ def train(
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
-    first equation, array and index that is NaN or infinite. Ctrl-C or SIGTERM raise
+    first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
     training views, of pictures and starting points that are of no use, and where what moves is
     hardly better than in the mean of the training pictures.

@@ -1,10 +1,11 @@
-"""Ctrl-C and SIGTERM: both ask the program to stop where nothing is lost."""
+"""Ctrl-C, SIGTERM and SIGHUP: each asks the program to stop where nothing is lost."""
 
 import signal
 import threading
 from contextlib import contextmanager
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# The last one comes where a terminal is closed; Windows does not have it.
+SIGNALS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
 RESEND_SECONDS = 0.02  # after which a signal that came too early is sent again
 
 

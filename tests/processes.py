@@ -4,9 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import p4dgs_ref
+from p4dgs_ref.signals import SIGNALS
 from tests import ROOT
 
 # PYTHONPATH of every process: the package first, which the checkout has, too.
@@ -22,10 +24,38 @@ def run(*options, env=None):
 
 
 def start(*options, cwd=ASIDE):
-    """Start Python with options; Ctrl-C reaches it, also where the tests themselves ignore it."""
+    """Start Python with options; signals reach it, also where the tests themselves ignore them."""
     return subprocess.Popen(
         [sys.executable, *options],
         cwd=cwd,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: [signal.signal(number, signal.SIG_DFL) for number in SIGNALS],
         **CAPTURED,
     )
+
+
+def alive(pid):
+    """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
+
+
+def wait_until_gone(pids, seconds=5.0):
+    """A killed process is gone when whoever inherits it has looked; that is a moment later."""
+    end = time.monotonic() + seconds
+    while any(map(alive, pids)):
+        assert time.monotonic() < end, "a process outlives its parent"
+        time.sleep(0.02)
+
+
+def workers(pid, count):
+    """The processes that a process has started to work for it, when there are `count` of them."""
+    while True:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
+        commands = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
+        found = [int(child) for child, words in commands.items() if b"spawn_main" in words]
+        if len(found) == count:
+            return found
+        time.sleep(0.02)

@@ -489,6 +489,8 @@ def run(argv, start):
             code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError) as error:
             code, message = 1, str(error) or "out of memory"
+        except ChildProcessError as error:
+            code, message = 1, f"{error}{STOPPED.get(arguments.command, '')}"
         except OSError as error:
             code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
         except ValueError as error:

@@ -6,9 +6,14 @@ Studies never take times in them.
 
 import json
 import multiprocessing
+import os
 import signal
+import sys
+import threading
 import time
+import warnings
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -27,36 +32,83 @@ from ..designs import (
 )
 from ..output import absent, filled
 from ..scenes.scene import Scene
-from ..signals import deferred
+from ..signals import SIGNALS, deferred
 from ..training.fit import doubts, warn
 from ..training.presets import Preset, differences
 from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
 
-
 # --- several processes ----------------------------------------------------------------------------
+UNGUARDED, KILLED = 70, -9  # exit codes of workers
+ENDS = {
+    UNGUARDED: "a worker process ran the script, which starts workers itself; expected its calls "
+    'below `if __name__ == "__main__":`, or jobs=1',
+    KILLED: "a worker process was killed, probably because memory ran out; --jobs 1, or jobs=1, "
+    "needs least",
+}
+
+
 def begin():
     """What a worker does first. It has inherited the kernels and the number of BLAS threads."""
     keep_pages()
-    # Ctrl-C reaches all processes of a terminal; the parent stops its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Those that reach all processes of a terminal; the parent stops its workers by SIGTERM.
+    for number in SIGNALS - {signal.SIGTERM}:
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def end_with_parent():
+    """Wait in a worker until its parent has ended, however it did, then end the worker."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
+
+
+def recorded(function, *arguments):
+    """The result of a call in a worker, and the warnings that it gave."""
+    with warnings.catch_warnings(record=True) as given:
+        result = function(*arguments)
+    return result, [one.message for one in given]
+
+
+def received(result, given):
+    """The result of a call in a worker; its warnings are given again, by this process."""
+    for warning in given:
+        warnings.warn(warning, stacklevel=3)
+    return result
 
 
 @contextmanager
 def processes(jobs):
-    """A pool of processes, which end with this context, also where it is left early.
+    """Yield `start(function, *arguments)`, which calls a function in one of `jobs` processes.
 
-    Submit with signals `deferred`: a process that has not read what it is to do when its parent is
-    interrupted ends with a traceback.
+    `start` returns at once; what it returns waits for the result when it is called. The processes
+    end with this context, also where it is left early. Raises ChildProcessError where one of them
+    ends before its work is done.
     """
-    others = set(multiprocessing.active_children())
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(UNGUARDED)  # a worker that imports the script may start none
+    others, workers = set(multiprocessing.active_children()), set()
     pool = ProcessPoolExecutor(
         jobs,
         multiprocessing.get_context("spawn"),
         initializer=begin,
     )
+
+    def start(function, *arguments):
+        # A process that has not read what it is to do when its parent is interrupted ends with a
+        # traceback.
+        with deferred():
+            future = pool.submit(recorded, function, *arguments)
+            workers.update(multiprocessing.active_children())
+        return lambda: received(*future.result())
+
     try:
-        yield pool
+        yield start
+    except BrokenProcessPool:
+        pool.shutdown()
+        codes = {process.exitcode for process in workers - others}
+        known = [sentence for code, sentence in ENDS.items() if code in codes]
+        raise ChildProcessError(*known[:1] or [f"a worker process ended early: {codes}"]) from None
     finally:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
@@ -72,10 +124,9 @@ def in_processes(function, tasks, jobs):
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
     else:
-        with processes(min(jobs, len(tasks))) as pool:
-            with deferred():
-                results = pool.map(function, tasks)
-            yield from results
+        with processes(min(jobs, len(tasks))) as start:
+            for result in [start(function, task) for task in tasks]:
+                yield result()
 
 
 # --- the main job ---------------------------------------------------------------------------------
@@ -113,10 +164,14 @@ def designs(scene, preset, seed, path, stream, jobs):
     paper = (scene, paper_preset(preset), seed, paper_path)
     if jobs == 1:
         return one_design(*ours, stream), one_design(*paper, stream)[0]
-    with processes(1) as pool:
-        with deferred():
-            waiting = pool.submit(one_design, *paper)
-        return one_design(*ours, stream), waiting.result()[0]
+    try:
+        with processes(1) as start:
+            waiting = start(one_design, *paper)
+            done = one_design(*ours, stream)
+            return done, waiting()[0]
+    except ChildProcessError as error:
+        warn(f"{error}; this process trains the paper's design again")
+        return done, one_design(*paper, stream)[0]
 
 
 def main_job(

@@ -48,7 +48,7 @@ def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
     """Train to the end. In `folder` a checkpoint is kept; with `resume` training goes on from it.
 
     Raises RunError for a checkpoint that does not fit, OutputError for a folder in which another
-    training runs or has run, and NotFinite. Ctrl-C or SIGTERM raise KeyboardInterrupt after the
+    training runs or has run, and NotFinite. Ctrl-C, SIGTERM or SIGHUP raise KeyboardInterrupt after the
     current iteration, a second one at once.
     """
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.

@@ -1,6 +1,10 @@
-"""Ctrl-C and SIGTERM: one line, exit code 130, no half-written file, whenever they come."""
+"""Ctrl-C, SIGTERM, SIGHUP: one line, exit code 130, no half-written file, whenever they come.
+
+Workers end with their parent, and where one is killed its parent says so.
+"""
 
 import itertools
+import os
 import signal
 import threading
 import time
@@ -9,10 +13,10 @@ import pytest
 
 from p4dgs_ref.signals import deferred, handled, interrupt
 from tests import ROOT
-from tests.processes import start
+from tests.processes import start, wait_until_gone, workers
 from tests.sampling import few
 
-NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM}
+NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "HUP": signal.SIGHUP}
 SIGNALS = pytest.mark.parametrize("name", NUMBERS)
 # Before the import of a module, say so and wait, as a slow disk would.
 SLOW = """
@@ -121,6 +125,44 @@ def test_while_a_worker_starts(tmp_path, name):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130 and err == f"p4dgs-ref: stopped{SAID['demo']}\n"
     assert not list(tmp_path.iterdir())
+
+
+STUDY = "compare bouncing --quick -o out --jobs 2"
+CODED = "--set is_coded=true --set network_ramp=10 --set lr_step=0.02,0.002"
+DEMO = f"demo bouncing -o out --jobs 2 --quiet --preset smoke {CODED}"
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    process = at_work(STUDY, tmp_path, "out/.p4dgs-part-*")
+    pids = workers(process.pid, 2)
+    process.kill()
+    wait_until_gone(pids, 10)
+    process.communicate()  # reads to the end of what the workers write to, too
+
+
+KILLED = "a worker process was killed, probably because memory ran out; --jobs 1, or jobs=1, "
+KILLED += "needs least; "
+
+
+@pytest.mark.slow
+def test_a_killed_worker_is_one_line(tmp_path):
+    process = at_work(STUDY, tmp_path, "out/.p4dgs-part-*")
+    os.kill(workers(process.pid, 2)[0], signal.SIGKILL)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1 and "Traceback" not in err
+    assert err.endswith(f"\np4dgs-ref: {KILLED}{SAID['compare'][2:]}\n")
+
+
+@pytest.mark.slow
+def test_the_demo_goes_on_without_its_worker(tmp_path):
+    process = at_work(DEMO, tmp_path, "out/.p4dgs-part-*")
+    os.kill(*workers(process.pid, 1), signal.SIGKILL)
+    _, err = process.communicate(timeout=60)
+    first, *lost = err.splitlines()
+    again = f"p4dgs-ref: warning: {KILLED}this process trains the paper's design again"
+    assert process.returncode == 0 and first == again and "what moves is lost" in lost[0]
+    assert len([*tmp_path.glob("out/*.p4dgs")]) == 2
 
 
 def test_handlers_are_put_back_and_others_are_left_alone():

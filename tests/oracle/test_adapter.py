@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +17,7 @@ from p4dgs_ref.oracle import checker, report
 from p4dgs_ref.oracle.adapter import Adapter, AdapterError
 from p4dgs_ref.oracle.ports import PortError
 from p4dgs_ref.oracle.published import Golden
+from tests.processes import alive, wait_until_gone
 from tests.sampling import few
 
 # A port of y = x. It answers case n rightly unless the lines that are put into it change that.
@@ -83,25 +83,6 @@ def port(tmp_path):
     yield made
     made.adapter.close()
     wait_until_gone(made.pids())
-
-
-def alive(pid):
-    """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
-    try:
-        return (
-            Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0]
-            != "Z"
-        )
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def wait_until_gone(pids, seconds=5.0):
-    """A killed process is gone when whoever inherits it has looked; that is a moment later."""
-    end = time.monotonic() + seconds
-    while any(map(alive, pids)):
-        assert time.monotonic() < end, "a process outlives the checker"
-        time.sleep(0.02)
 
 
 def case(name="0", subject="identity", x=None, **tensors):

@@ -10,6 +10,7 @@ import math
 import multiprocessing
 import os
 import time
+import warnings
 from dataclasses import replace
 
 import imageio.v3 as iio
@@ -28,6 +29,7 @@ from p4dgs_ref.report.jobs import in_processes
 from p4dgs_ref.training.loop import COLUMNS
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
+from tests import processes
 from tests.sampling import few
 from tests.tutorials import drawn
 
@@ -279,6 +281,32 @@ def place(seconds):
 
 def explode(task):
     raise NotFinite(f"iteration {task}: f_a[3, 1] is nan")
+
+
+def mutter(task):
+    warnings.warn(f"task {task} is poor", stacklevel=1)
+    return task
+
+
+@pytest.mark.slow
+def test_warnings_of_workers_are_given_by_this_process():
+    with pytest.warns(UserWarning, match="is poor") as given:
+        assert list(in_processes(mutter, [1, 2], 2)) == [1, 2]
+    assert [str(one.message) for one in given] == ["task 1 is poor", "task 2 is poor"]
+
+
+UNGUARDED = """
+from p4dgs_ref.report.jobs import in_processes
+print(list(in_processes(abs, [1, 2], 2)))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_that_a_worker_would_run_again_is_told_so(tmp_path):
+    (tmp_path / "script.py").write_text(UNGUARDED, encoding="utf-8")
+    lines = processes.run(tmp_path / "script.py").stderr.splitlines()
+    assert lines[0].startswith("Traceback") and "__main__" in lines[-1] and len(lines) < 15
+    assert lines[-1].startswith("ChildProcessError: a worker process ran the script")
 
 
 @pytest.mark.slow

@@ -112,12 +112,12 @@ def measure_kernels(knob):
     error is the share of parameters that differ after the same steps.
     """
     with processes(1) as first, processes(1) as second:
-        names = [first.submit(kernels).result()]
+        names = [first(kernels)()]
         with natively():
-            names.append(second.submit(kernels).result())
-        pools = dict(enumerate((first, second)))
-        times = alternate(pools, knob.values, lambda pool: pool.submit(clocked_steps).result())
-        ends = [pool.submit(clocked_steps).result()[0] for pool in pools.values()]
+            names.append(second(kernels)())
+        starts = dict(enumerate((first, second)))
+        times = alternate(starts, knob.values, lambda start: start(clocked_steps)())
+        ends = [start(clocked_steps)()[0] for start in starts.values()]
     differ = [float(np.mean(end != ends[0])) for end in ends]
     return [
         {"line": "", "value": name, "error": differ[i], **times[i].columns("ms", 1 / STEPS)}
