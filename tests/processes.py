@@ -50,12 +50,12 @@ def wait_until_gone(pids, seconds=5.0):
         time.sleep(0.02)
 
 
-def workers(pid, count):
-    """The processes that a process has started to work for it, when there are `count` of them."""
+def workers(pid, count, word=b"spawn_main"):
+    """The processes with a word in their command that a process has started; waits for `count`."""
     while True:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
         commands = {child: Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
-        found = [int(child) for child, words in commands.items() if b"spawn_main" in words]
+        found = [int(child) for child, words in commands.items() if word in words]
         if len(found) == count:
             return found
         time.sleep(0.02)

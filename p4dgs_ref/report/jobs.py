@@ -108,7 +108,9 @@ def processes(jobs):
         pool.shutdown()
         codes = {process.exitcode for process in workers - others}
         known = [sentence for code, sentence in ENDS.items() if code in codes]
-        raise ChildProcessError(*known[:1] or [f"a worker process ended early: {codes}"]) from None
+        raise ChildProcessError(
+            *known[:1] or [f"a worker process ended early; exit codes {codes}"]
+        ) from None
     finally:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()

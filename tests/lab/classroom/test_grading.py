@@ -5,6 +5,7 @@ import inspect
 import json
 import os
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting import loop
 from p4dgs_ref.table import EQUATIONS
+from tests import processes
 from tests.sampling import few
 
 KEYS = list(EQUATIONS)
@@ -491,6 +493,19 @@ def test_reports_name_no_value_of_the_inputs_that_are_held_back(room):
     one, other = (classroom.grade(room, seed=seed)["students"][0] for seed in (3, 4))
     assert one == other  # but for what is said of published cases, points are all there is
     assert "  Case offsets/ordinary: out.x[" in one["equations"][0]["says"]
+
+
+@pytest.mark.slow
+def test_a_file_that_hangs_ends_with_a_grader_that_is_killed(room):
+    seen = room / "seen"
+    write(room, "offsets", forward=f"open({str(seen)!r}, 'wb')\nwhile True:\n    pass")
+    process = processes.start("-m", "p4dgs_ref", "grade", room)
+    pids = processes.workers(process.pid, 1, b"offsets.py")
+    while not seen.exists():
+        time.sleep(0.02)
+    process.kill()
+    processes.wait_until_gone(pids)
+    process.communicate()
 
 
 def test_command_line_grades_and_refuses_in_one_line(room, capsys):
