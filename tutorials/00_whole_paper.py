@@ -42,6 +42,8 @@ from scipy.special import expit as sigmoid
 from scipy.special import ndtr as Phi  # the normal distribution function of Eq. (11)
 
 SHOW = __name__ == "__main__" and "--check" not in sys.argv  # not where a test imports this file
+if SHOW:
+    plt.style.use("default")  # the pictures look the same whatever your settings are
 A, k, d = 80, 4, 8  # anchors, children of each, features of each; the paper has k = 10, d = 16
 
 # %% [markdown]
@@ -998,9 +1000,7 @@ def report(p, file, views, unseen):
     bits, coded = anchor_bits.sum() + hash_bits, len(file["grid"] + file["anchors"])
     print(f"entropy coded: {coded} bytes, {bits / 8:.1f} by Eqs. (11) and (14)")
     if abs(8 * coded / bits - 1) > 0.03:
-        print(
-            "They differ: an unlikely number costs up to 100 bits in Eq. (11), but 24 in the coder;"
-        )
+        print("They differ: an unlikely number costs up to 100 bits in Eq. (11), 24 in the coder;")
         print("and every possible integer takes a unit of 2^-24 from the likely ones.")
     return {"before": before, "after": after, "coded": coded, "bits": bits}
 

@@ -48,8 +48,8 @@ def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
     """Train to the end. In `folder` a checkpoint is kept; with `resume` training goes on from it.
 
     Raises RunError for a checkpoint that does not fit, OutputError for a folder in which another
-    training runs or has run, and NotFinite. Ctrl-C, SIGTERM or SIGHUP raise KeyboardInterrupt after the
-    current iteration, a second one at once.
+    training runs or has run, and NotFinite. Ctrl-C, SIGTERM or SIGHUP raise KeyboardInterrupt
+    after the current iteration, a second one at once.
     """
     # Non-finite values are found and named; NumPy's warnings would say the same less clearly.
     with np.errstate(all="ignore"):
