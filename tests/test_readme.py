@@ -335,7 +335,7 @@ def test_names_exist():
 def test_the_scene_of_the_page_can_be_read(tmp_path):
     (text,) = re.findall(r"```json\n(.*?)```", section("Your own scene"), re.DOTALL)
     for split in ("train", "test"):
-        (tmp_path / f"transforms_{split}.json").write_text(text)
+        (tmp_path / f"transforms_{split}.json").write_text(text, encoding="utf-8")
     (picture,) = (frame["file_path"] for frame in json.loads(text)["frames"])
     (tmp_path / picture).parent.mkdir()
     iio.imwrite(tmp_path / f"{picture}.png", np.zeros((6, 8, 3), np.uint8))

@@ -1,7 +1,7 @@
 """The commands for ports: list and export the golden vectors, check a port with them."""
 
-import os
 from contextlib import nullcontext
+from pathlib import Path
 
 from ..lab.baselines import ALL_EQUATIONS
 from ..oracle import published
@@ -38,11 +38,9 @@ def port_of(arguments):
         "oracle check",
         "expected either a folder of a port's answers or --adapter CMD",
     )
-    if command is not None:
+    if command:
         return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
-    require(
-        os.path.isdir(folder), folder or "oracle check", "expected a folder of a port's answers"
-    )
+    require(Path(folder).is_dir(), folder, "expected a folder of a port's answers")
     require(
         not (arguments.dtype or arguments.timeout),
         "--dtype, --timeout",

@@ -218,7 +218,7 @@ def test_views_that_share_a_name_are_all_drawn(files, scene, tmp_path, monkeypat
     shutil.copytree(scene, tmp_path / "scene")
     monkeypatch.chdir(tmp_path)
     listed = Path("scene/transforms_test.json")
-    listed.write_text(listed.read_text().replace("r_1", "r_0"))
+    listed.write_text(listed.read_text(encoding="utf-8").replace("r_1", "r_0"), encoding="utf-8")
     assert run(f"render {files}/sum.p4dgs --scene scene -o drawn")[1] == "drawn: 2 images\n"
     assert names_in("drawn") == ["000_test_r_0.png", "001_test_r_0.png"]
 

@@ -303,8 +303,6 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
         (["export", "."], "expected an empty folder"),
         (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'?"),
         (["check", ".", "--only", "view/fa"], "--only view/fa: did you mean 'view/far'?"),
-        (["check", "", "--only", "view"], "oracle check: expected a folder"),
-        (["check", "--adapter", ""], "adapter '': expected a command"),
         (["check", ".", "--level", "L5"], "--level L5: expected one of L0, L1, L2, L3, L4"),
     ],
 )

@@ -124,7 +124,8 @@ def edited(**fields):
 
     def damage(task):
         row = {**read_json(task.record), **fields}
-        task.record.write_text(json.dumps({name: a for name, a in row.items() if a is not ...}))
+        text = json.dumps({name: a for name, a in row.items() if a is not ...})
+        task.record.write_text(text, encoding="utf-8")
 
     return damage
 
@@ -139,9 +140,9 @@ def in_place_of(which, make):
 
 ODD = {"pipe": os.mkfifo, "folder": os.mkdir, "link": lambda path: path.symlink_to(path.name)}
 DAMAGES = {
-    "{}": lambda task: task.record.write_text("{}"),
-    "a list": lambda task: task.record.write_text("[]"),
-    "cut": lambda task: task.record.write_text(task.record.read_text()[:-5]),
+    "{}": lambda task: task.record.write_text("{}", encoding="utf-8"),
+    "a list": lambda task: task.record.write_text("[]", encoding="utf-8"),
+    "cut": lambda task: task.record.write_bytes(task.record.read_bytes()[:-5]),
     "bytes 0": edited(bytes=0),
     "other parts": edited(network_bytes=1),
     "another release": edited(release="0.0.1"),
