@@ -338,8 +338,8 @@ assert np.floor(below_half + 0.5) != np.rint(below_half)
 assert np.floor(2.5 + 0.5) != np.rint(2.5)
 
 # %% [markdown]
-# Some of the golden cases are ties or numbers beside them. Five of the nine cases find the mistake,
-# and the checker names it.
+# Some golden cases are ties, or numbers next to ties. Five of the nine cases fail, and the checker
+# names the mistake.
 
 
 # %%

@@ -413,10 +413,11 @@ lessons.show(
 # gsplat 1.5.3 and `00_whole_paper` use this formula. Because of its division, an opaque layer would
 # give $0/0$, but below the limit of $0.99$ the formula is as good as the sweep, *if $S_i$ is a sum
 # from the back*. The kernel of 3DGS sweeps from back to front as we do, but without the background,
-# whose share of the gradient is $-T_N c_{bg}/(1-\alpha_i)$. Both kernels keep only the last
-# transmittance of the forward pass and recover the others, $T_i = T_{i+1}/(1-\alpha_i)$. In the
-# pixel below this costs less than the rounding of the forward pass. (Behind so many opaque layers
-# that $T_N$ is 0 it fails, which `24_hard_cases` shows; the published kernels stop before.)
+# whose share of the gradient is $-T_N c_{bg}/(1-\alpha_i)$. The kernels of gsplat and 3DGS keep
+# only the last transmittance of the forward pass and recover the others,
+# $T_i = T_{i+1}/(1-\alpha_i)$. In the pixel below, these divisions add a smaller error than the
+# rounding of the forward pass. They fail behind so many opaque layers that $T_N$ is 0
+# (`24_hard_cases`); published kernels stop before that.
 #
 # It is tempting to avoid the sum from the back: a kernel that keeps the pixel $C$ of the forward
 # pass can go from front to back and subtract the contributions that it has passed,
