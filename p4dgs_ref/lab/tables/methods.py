@@ -5,7 +5,7 @@ scene, seed, psnr_db and bytes; it has the first digits of its file's sha256 and
 makes this file. It lies as JSON beside the file, in a folder that is named after a checksum of the
 scene's views, effects and background, and the length of the trainings. A row that is there is not
 made again, so a killed study goes on, takes what another one has made, and can grow by scenes,
-seeds and methods. Such a row is checked before it is used, also against its file.
+seeds and methods. Such a row is compared with its own checksum and with its file before it is used.
 """
 
 import hashlib
@@ -13,7 +13,6 @@ import json
 from ast import literal_eval
 from dataclasses import replace
 from datetime import date
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,13 +23,12 @@ from ... import model as paper
 from ...arithmetic import arithmetic
 from ...codec.file import ATTRIBUTE_SECTIONS
 from ...designs import PRESETS, choose, decode, encode
-from ...limits import MAX_FILE_BYTES, MAX_NUMBERS
 from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
 from ...report.evaluate import evaluate, json_safe
 from ...report.inspect import components, ledger
 from ...report.jobs import in_processes
 from ...scenes import Scene, SceneError
-from ...scenes.fields import REQUIRED, fields, numbers, require, typed
+from ...scenes.fields import require
 from ...scenes.files import read_json
 from ...training.fit import fingerprint
 from ...training.parameters import Parameters
@@ -56,40 +54,14 @@ DATES = (
     "grow_until",
     "reset_every",
 )
-KINDS = ("gaussians_bytes", "network_bytes", "other_bytes")  # of bytes of a file
-TEXT = partial(typed, kind=str)
-COUNT = partial(numbers, low=0, high=MAX_NUMBERS, kind=int)
-SIZE = partial(numbers, low=0, high=MAX_FILE_BYTES, kind=int)
-DECIBELS = partial(numbers, low=-1e3, high=1e3)
-# The fields of a row, {name: check}.
-ROW = {
-    "method": TEXT,
-    "scene": TEXT,
-    "seed": COUNT,
-    "psnr_db": DECIBELS,
-    "bytes": SIZE,
-    "label": TEXT,
-    "lambda_rate": partial(numbers, low=0, high=1e18),
-    "sh_degree": COUNT,
-    "ssim": partial(numbers, low=-1, high=1),
-    "psnr_fg_db": lambda value, where: value if value is None else DECIBELS(value, where),
-    "anchors": COUNT,
-    "gaussians": COUNT,
-    **dict.fromkeys(KINDS, SIZE),
-    "file": TEXT,
-    "iterations": COUNT,
-    "train_seconds": partial(numbers, low=0, high=1e9),
-    "made": TEXT,
-    "arithmetic": TEXT,
-    "release": TEXT,
-    "sha256": TEXT,
-    "command": TEXT,
-    "estimated_bytes": SIZE,
-    "anchor_bytes": SIZE,
-    "positions_bytes": SIZE,
-    "deformation_bytes": SIZE,
-}
-OF_OUR_FILES = ("estimated_bytes", "anchor_bytes", "positions_bytes", "deformation_bytes")
+# The fields of a row. Some presets lack KNOBS, and only our own files have the last four.
+FIELDS = (
+    *("method", "scene", "seed", "psnr_db", "bytes", "label", *KNOBS),
+    *("ssim", "psnr_fg_db", "anchors", "gaussians"),
+    *("gaussians_bytes", "network_bytes", "other_bytes", "file", "iterations", "train_seconds"),
+    *("made", "arithmetic", "release", "sha256", "command"),
+    *("estimated_bytes", "anchor_bytes", "positions_bytes", "deformation_bytes"),
+)
 
 
 class Task(NamedTuple):
@@ -292,10 +264,20 @@ def make(task):
         found["anchor_bytes"] = sum(sections[name]["bytes"] for name in ATTRIBUTE_SECTIONS)
         found["positions_bytes"] = sections["positions"]["bytes"]
         found["deformation_bytes"] = sections.get("deformation_mlp", {}).get("bytes", 0)
-    row = {name: found[name] for name in ROW if name in found}
-    text = json.dumps(json_safe(row), indent=1) + "\n"
+    row = {name: found[name] for name in FIELDS if name in found}
+    text = json.dumps(sealed(json_safe(row)), indent=1) + "\n"
     output.write_atomically(task.record, lambda file: file.write(text.encode()))
     return row
+
+
+def sealed(row):
+    """A row with the first digits of its own sha256, which tell whether it was changed later."""
+    return {**row, "row_sha256": digits(json.dumps(row).encode())}
+
+
+def digits(data):
+    """The first digits of the sha256 of bytes."""
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def make_missing(tasks, progress=lambda line: None, jobs=1, agree=lambda trainers, jobs: None):
@@ -329,22 +311,17 @@ def row_of(task):
 
 
 def checked_row(task):
-    """The row that is there, after its fields were compared with the task and its file."""
-    row = read_json(task.record, "the row of a training")
-    others = [name for name in KNOBS if not hasattr(preset_of(task), name)]
-    others += OF_OUR_FILES * (task.path.suffix != ".p4dgs")
-    table = {name: (check, REQUIRED) for name, check in ROW.items() if name not in others}
-    for name in table:
-        require(name in row, f"{task.record}: {name}", "missing; expected it in every row")
-    fields(row, task.record, {**table, "exact": (partial(typed, kind=bool), None)})
-    whole, is_there = sum(row[name] for name in KINDS), task.path.exists()
-    require(
-        is_there and row["bytes"] == whole == task.path.stat().st_size,
-        f"{task.record}: bytes",
-        f"{row['bytes']}; expected {whole}, its parts, and a file {task.path.name} of this size",
-    )
+    """The row that is there, after it was compared with its checksum, its task and its file."""
+    kept = read_json(task.record, "the row of a training")
+    row = {name: value for name, value in kept.items() if name != "row_sha256"}
+    require(task.path.exists(), task.record, f"its file is missing; expected {task.path}")
     for name, value in known_of(task).items():
-        require(row[name] == value, f"{task.record}: {name}", f"{row[name]!r}; expected {value!r}")
+        require(
+            row.get(name) == value,
+            f"{task.record}: {name}",
+            f"{row.get(name)!r:.200}; expected {value!r}",
+        )
+    require(kept == sealed(row), task.record, "changed; expected it as the training has written it")
     return row
 
 
@@ -360,7 +337,7 @@ def known_of(task):
         "file": task.path.name,
         "iterations": preset.iterations,
         "release": __version__,
-        "sha256": hashlib.sha256(task.path.read_bytes()).hexdigest()[:16],
+        "sha256": digits(task.path.read_bytes()),
     }
 
 
