@@ -111,11 +111,10 @@ def train(arguments):
     """Fit a scene into a run folder."""
     preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
     scene = p4.load_scene(arguments.scene, downscale=arguments.downscale)
-    if not resume:
-        absent(Path(arguments.output) / CHECKPOINT, GO_ON)
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
+        absent(Path(arguments.output) / CHECKPOINT, GO_ON)
         estimate(arguments, [(designs.trainer_of(scene, preset), 1)])
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
@@ -186,12 +185,6 @@ def read_model(path):
     return baselines.load(path)
 
 
-def held_views(model, frames=24, **camera):
-    """Names, cameras and times in 0 ... 1 of the frames that a held camera takes."""
-    camera = figures.held_camera(model, **camera)
-    return [(f"t_{i:03d}", camera, t) for i, t in enumerate(np.linspace(0, 1, frames))]
-
-
 def views_of(scene):
     """Names, cameras and times of a scene's test views; no two of the names are equal."""
     names = [view.name.replace("/", "_") for view in scene.test]
@@ -203,8 +196,8 @@ def views_of(scene):
 def render(arguments):
     """Draw pictures of a file, into a folder that has none, or as one GIF."""
     output, known = Path(arguments.output), p4.SETTINGS
-    options = vars(arguments).items()
-    given = {name: value for name, value in options if name in HELD and value is not None}
+    values = {name: getattr(arguments, name) for name in HELD}
+    given = {name: value for name, value in values.items() if value is not None}
     require(
         arguments.settings in known,
         f"--settings {arguments.settings}",
@@ -226,8 +219,10 @@ def render(arguments):
         scene = p4.load_scene(arguments.scene)
         views, reads = views_of(scene), [*reads, *scene.source.rglob("*")]
     else:
-        views = held_views(model, **given)
-    with new_file(output, *reads) if is_gif else filled(output) as place:
+        times = np.linspace(0, 1, given.pop("frames", 24))
+        camera = figures.held_camera(model, **given)
+        views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+    with new_file(output, *reads, start=b"GIF8") if is_gif else filled(output) as place:
         images = [
             np.clip(model.render(camera, t, known[arguments.settings]), 0, 1)
             for _, camera, t in views

@@ -39,18 +39,6 @@ def score(image, view):
     }
 
 
-def other_background(model, scene, views):
-    """What to say where pictures with alpha lie over another background than the model's."""
-    same = np.abs(model.background - scene.background).max() <= 1 / 255
-    if same or all(view.alpha is None for view in views):
-        return ""
-    return (
-        f"the file has the background {np.round(model.background, 3)}, scene {scene.name} "
-        f"{np.round(scene.background, 3)}; expected equal ones, by load_scene(..., background=...) "
-        "or the effect `background` in scene.json"
-    )
-
-
 def evaluate(
     model: Model, scene: Scene, settings: Settings = FAST, split: str = "test"
 ) -> tuple[dict, list[dict], list[np.ndarray]]:
@@ -64,7 +52,13 @@ def evaluate(
     views = getattr(scene, split)
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
-    warn(other_background(model, scene, views))
+    differ = np.abs(model.background - scene.background).max() > 1 / 255
+    if differ and any(view.alpha is not None for view in views):
+        warn(
+            f"the file has the background {np.round(model.background, 3)}, scene {scene.name} "
+            f"{np.round(scene.background, 3)}; expected equal ones, by load_scene(..., "
+            "background=...) or the effect `background` in scene.json"
+        )
     images, seconds = map(
         list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))
     )

@@ -3,7 +3,6 @@
 import csv
 import io
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
@@ -68,10 +67,10 @@ def subplots(*shape, figsize, layout="constrained", **settings):
 
 def save_figure(figure, path):
     """Write a PNG without matplotlib's version in it, so that equal pictures are equal files."""
-    # In memory first: `savefig` would remove the file where the disk is full, and its name is said.
+    # In memory first: where the disk is full, `savefig` would remove the file that the error names.
     png = io.BytesIO()
     figure.savefig(png, metadata={"Software": None})
-    Path(path).write_bytes(png.getvalue())
+    path.write_bytes(png.getvalue())
 
 
 def write_csv(path, rows):
@@ -269,11 +268,10 @@ def write_heat(folder, model, bits, camera):
             for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
         ],
     )
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
+    from matplotlib import cm, colors
 
     figure, (left, right) = subplots(1, 2, figsize=(11, 5), width_ratios=(1.2, 1))
-    scale = ScalarMappable(Normalize(bits.min(), bits.max()), "viridis")
+    scale = cm.ScalarMappable(colors.Normalize(bits.min(), bits.max()), "viridis")
     left.imshow(np.clip(heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5), 0, 1))
     left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
     left.spines[:].set_visible(False)

@@ -8,7 +8,6 @@ import json
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 import warnings
@@ -39,13 +38,7 @@ from . import figures as report
 from .evaluate import compression, evaluate, json_safe, timed
 
 # --- several processes ----------------------------------------------------------------------------
-UNGUARDED, KILLED = 70, -9  # exit codes of workers
-ENDS = {
-    UNGUARDED: "a worker process ran the script, which starts workers itself; expected its calls "
-    'below `if __name__ == "__main__":`, or jobs=1',
-    KILLED: "a worker process was killed, probably because memory ran out; --jobs 1, or jobs=1, "
-    "needs least",
-}
+UNGUARDED = 70  # exit code of a worker that the script would let start workers
 
 
 def begin():
@@ -86,7 +79,7 @@ def processes(jobs):
     ends before its work is done.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        sys.exit(UNGUARDED)  # a worker that imports the script may start none
+        raise SystemExit(UNGUARDED)  # a worker that imports the script may start none
     others, workers = set(multiprocessing.active_children()), set()
     pool = ProcessPoolExecutor(
         jobs,
@@ -105,11 +98,14 @@ def processes(jobs):
     try:
         yield start
     except BrokenProcessPool:
-        pool.shutdown()
-        codes = {process.exitcode for process in workers - others}
-        known = [sentence for code, sentence in ENDS.items() if code in codes]
+        pool.shutdown()  # the exit codes of all are known then
+        is_unguarded = UNGUARDED in {process.exitcode for process in workers - others}
         raise ChildProcessError(
-            *known[:1] or [f"a worker process ended early; exit codes {codes}"]
+            "a worker process ran the script, which starts workers itself; expected its calls "
+            'below `if __name__ == "__main__":`, or jobs=1'
+            if is_unguarded
+            else "a worker process was killed, probably because memory ran out; --jobs 1, or "
+            "jobs=1, needs least"
         ) from None
     finally:
         for process in set(multiprocessing.active_children()) - others:

@@ -320,7 +320,7 @@ def test_a_notebook_of_another_environment_may_start_commands(tmp_path):
     environment = {**os.environ, "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     line = ["inspect", ROOT / "tutorials" / "demo.p4dgs", "-o", tmp_path]
     done = processes.run("-m", "p4dgs_ref", *line, env=environment)
-    assert done.returncode == 0 and (tmp_path / "size.png").is_file(), done.stderr
+    assert done.returncode == 0 and (tmp_path / "sections.png").is_file(), done.stderr
 
 
 @pytest.mark.slow
