@@ -246,13 +246,9 @@ def frozen_camera(arguments, model):
     try:
         views = p4.load_scene(scene).test
     except SceneError as error:
-        require(
-            arguments.scene,
-            f"--camera {i}",
-            f"expected together with --scene, because no scene is named {scene} as the file is "
-            f"({error})",
-        )
-        raise
+        raise UsageError(
+            f"{'--scene' if arguments.scene else '--camera without --scene'}: {error}"
+        ) from None
     require(i < len(views), f"--camera {i}", f"expected one of the views 0 ... {len(views) - 1}")
     return views[i].camera, f"view {views[i].name} of {scene}"
 

@@ -9,6 +9,7 @@ import resource
 import shutil
 import sys
 from functools import partial
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -34,22 +35,22 @@ def original(scene, tmp_path_factory):
     """A folder with a scene, a run of it, a file, and damaged versions of these."""
     place = tmp_path_factory.mktemp("original")
     shutil.copytree(scene, place / "scene")
+    shutil.copytree(ROOT / "tiny_scenes/twocams", place / "two")
     (place / "run").mkdir()
-    trainer = fit(p4.load_scene(place / "scene"), "smoke", 0, folder=place / "run")
-    data = p4.encode(trainer.model())
-    (place / "good.p4dgs").write_bytes(data)
-    (place / "cut.p4dgs").write_bytes(data[:-5])
-    (place / "text").write_text("not what you think\n", encoding="utf-8")
-    (place / "report").mkdir()
-    (place / "report" / "scene.p4dgs").write_bytes(data)
-    (place / "report" / "metrics.json").write_text("{}", encoding="utf-8")
-    (place / "run.p4dgs").write_bytes(data)
-    (place / "scene" / "still.gif").write_bytes(b"another picture of the scene")
     (place / "folder.gif").mkdir()
+    data = p4.encode(fit(p4.load_scene(place / "scene"), "smoke", 0, folder=place / "run").model())
+    files = {
+        **dict.fromkeys(("good.p4dgs", "run.p4dgs", "report/scene.p4dgs"), data),
+        "cut.p4dgs": data[:-5],
+        **dict.fromkeys(("text", "text.gif"), b"not what you think\n"),
+        "report/metrics.json": b"{}",
+        "scene/still.gif": b"GIF89a, another picture of the scene",
+        "run_cut/checkpoint.npz": (place / "run" / "checkpoint.npz").read_bytes()[:-50],
+    }
+    for name, content in files.items():
+        (place / name).parent.mkdir(exist_ok=True)
+        (place / name).write_bytes(content)
     write_ply(place / "scene.ply", "xyz", np.zeros((2, 3)), ("of another program",))
-    (place / "run_cut").mkdir()
-    saved = (place / "run" / "checkpoint.npz").read_bytes()
-    (place / "run_cut" / "checkpoint.npz").write_bytes(saved[:-50])
     return place
 
 
@@ -183,40 +184,28 @@ SCENES = [
         ),
         ("scene.json: effects", "\\x1b[31m"),
     ),
+    *(
+        (f"no {name} of NeRF-DS", lambda place, name=name: (place / "two" / name).unlink(), words)
+        for name, words in {
+            "points.npy": ("two/points.npy", "missing"),
+            "scene.json": ("two/scene.json", "missing", "NeRF-DS"),
+            "dataset.json": ("transforms_train.json", "D-NeRF", "dataset.json"),
+            "camera/000002_right.json": ("camera/000002_right.json", "missing"),
+        }.items()
+    ),
+    (
+        "a list for an object of NeRF-DS",
+        lambda place: (place / "two/metadata.json").write_text("[1]", encoding="utf-8"),
+        ("metadata.json", "a JSON object"),
+    ),
 ]
 
 
-@pytest.mark.parametrize(
-    "mistake, words", [case[1:] for case in SCENES], ids=[case[0] for case in SCENES]
-)
-def test_mistakes_in_scenes(place, refused, mistake, words):
+@pytest.mark.parametrize("name, mistake, words", SCENES, ids=[case[0] for case in SCENES])
+def test_mistakes_in_scenes(place, refused, name, mistake, words):
     mistake(place)
     for line in READING:
-        refused(line.format("scene"), words)
-
-
-def without(name):
-    return lambda folder: (folder / name).unlink()
-
-
-@pytest.mark.parametrize(
-    "mistake, words",
-    [
-        (without("points.npy"), ("two/points.npy", "missing")),
-        (without("scene.json"), ("two/scene.json", "missing", "NeRF-DS")),
-        (without("dataset.json"), ("transforms_train.json", "D-NeRF", "dataset.json")),
-        (without("camera/000002_right.json"), ("camera/000002_right.json", "missing")),
-        (
-            lambda f: (f / "metadata.json").write_text("[1]", encoding="utf-8"),
-            ("metadata.json", "a JSON object"),
-        ),
-    ],
-)
-def test_mistakes_in_scenes_of_nerf_ds(place, refused, mistake, words):
-    shutil.copytree(ROOT / "tiny_scenes/twocams", place / "two")
-    mistake(place / "two")
-    for line in READING:
-        refused(line.format("two"), words)
+        refused(line.format("two" if "NeRF-DS" in name else "scene"), words)
 
 
 LINES = [
@@ -344,11 +333,11 @@ LINES = [
     ("render scene.ply -o new", ("scene.ply: ", "expected a .p4dgs file, or a .ply")),
     (
         "export-ply good.p4dgs --camera 0",
-        ("--camera 0: expected together with --scene", "no scene is named good"),
+        ("--camera without --scene: good: no such folder",),
     ),
     (
         "export-ply run.p4dgs --camera 0",
-        ("--camera 0: expected together with --scene", "run/transforms_train.json"),
+        ("--camera without --scene: run/transforms_train.json",),
     ),
     ("simulate nowhere.json -o new", ("nowhere.json",)),
     ("simulate text -o new", ("text", "JSON")),
@@ -368,6 +357,17 @@ LINES = [
     ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
     ("encode run_cut -o run/checkpoint.npz", ("run/checkpoint.npz: ", "another kind")),
     ("export-ply good.p4dgs -o text", ("text: ", "another kind")),
+    ("export-ply good.p4dgs -o .", (".: expected a regular file",)),
+    ("export-ply good.p4dgs --time 1.5", ("--time",)),
+    ("export-ply good.p4dgs --camera -1", ("--camera",)),
+    (
+        "export-ply good.p4dgs --camera 2 --scene scene",
+        ("--camera 2: expected one of the views 0 ... 1",),
+    ),
+    ("export-ply good.p4dgs --scene nowhere", ("nowhere: no such folder",)),
+    ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: this is the input",)),
+    ("effects static --suggest --apply --jobs 1", ("packaged",)),
+    ("render good.p4dgs -o text.gif", ("text.gif: ", "another kind")),
     ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
     ("train scene -o run --preset smoke", ("run/checkpoint.npz: exists", "--resume")),
     ("demo scene -o report --preset smoke", ("report/scene.p4dgs: exists", "another")),
@@ -457,11 +457,13 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
     assert sorted(place.rglob("*")) == before
 
 
-def test_a_training_that_goes_on_is_not_told_of_effects(place, capsys):
-    for line, count in (("-o new", 1), ("-o run --resume", 0)):
-        assert command(f"train scene {line} --preset smoke --quiet") == 0
+def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):
+    shutil.copytree("scene", "listed")
+    Path("listed/scene.json").write_text('{"effects": []}', encoding="utf-8")
+    for line, count in (("scene -o new", 1), ("scene -o run --resume", 0), ("listed -o other", 0)):
+        assert command(f"train {line} --preset smoke --quiet") == 0
         err = capsys.readouterr().err
-        assert err.count("no scene.json lists effects") == count and "2 training views" in err
+        assert err.count("effects scene --suggest --apply") == count and "2 training views" in err
 
 
 def test_out_of_memory(place, run, monkeypatch):

@@ -146,12 +146,15 @@ def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
     Path("home").mkdir()
     monkeypatch.setenv("HOME", str(Path("home").resolve()))
     shutil.copytree(scene, "~/scene")
-    ok("train ~/scene -o ~/run --preset smoke --quiet")
-    ok("encode ~/run -o ~/x.p4dgs")
-    ok("evaluate ~/x.p4dgs ~/scene -o ~/compared")
-    ok("render ~/x.p4dgs -o ~/held --frames 1 --size 4")
-    ok("render ~/x.p4dgs -o ~/views --scene ~/scene")
-    ok(f"simulate {ROOT}/tiny_scenes/static/scene.json -o ~/drawn")
+    for line in (
+        "train ~/scene -o ~/run --preset smoke --quiet",
+        "encode ~/run -o ~/x.p4dgs",
+        "evaluate ~/x.p4dgs ~/scene -o ~/compared",
+        "render ~/x.p4dgs -o ~/held --frames 1 --size 4",
+        "render ~/x.p4dgs -o ~/views --scene ~/scene",
+        f"simulate {ROOT}/tiny_scenes/static/scene.json -o ~/drawn",
+    ):
+        ok(line)
     wanted = {"held/motion.gif", "held/t_000.png", "views/test_r_1.png", "drawn/test/r_009.png"}
     assert wanted <= {str(file.relative_to("~")) for file in Path("~").rglob("*")}
     assert not list(Path("home").iterdir())
@@ -316,19 +319,19 @@ def test_importing_the_package_leaves_numpy_alone():
 
 
 @pytest.mark.slow
-def test_a_notebook_of_another_environment_may_start_commands(tmp_path):
-    environment = {**os.environ, "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
-    line = ["inspect", ROOT / "tutorials" / "demo.p4dgs", "-o", tmp_path]
-    done = processes.run("-m", "p4dgs_ref", *line, env=environment)
-    assert done.returncode == 0 and (tmp_path / "sections.png").is_file(), done.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-", "2>/dev/full"])
-def test_streams_may_be_closed_or_full(tmp_path, closed):
+@pytest.mark.parametrize(
+    "before, after",
+    [
+        ("MPLBACKEND=module://matplotlib_inline.backend_inline", ""),  # of another environment
+        ("", "2>&-"),
+        ("", "<&- >&- 2>&-"),
+        ("", "2>/dev/full"),
+    ],
+)
+def test_a_notebook_may_start_commands_and_streams_may_be_closed_or_full(tmp_path, before, after):
     """Also those of workers."""
     line = "-m p4dgs_ref demo --preset smoke --set body=true --jobs 2 -o"
-    command = f"'{sys.executable}' {line} '{tmp_path}' {closed}"
+    command = f"{before} '{sys.executable}' {line} '{tmp_path}' {after}"
     done = subprocess.run(["sh", "-c", command], cwd=processes.ASIDE, **processes.CAPTURED)
     assert done.returncode == 0 and (tmp_path / "metrics.json").is_file(), done.stdout
 

@@ -1,7 +1,4 @@
-"""`export-ply`: the picture of the model from the frozen view, the header, and mistakes.
-
-Also a mistake of `view` that needs two files.
-"""
+"""`export-ply`: the picture of the model from the frozen view, and the header."""
 
 import numpy as np
 import pytest
@@ -70,23 +67,3 @@ def test_the_header_says_what_was_frozen(place, run):
         "comment effects of the model: none",
     ]
     assert comments(place / "sum.ply")[0].endswith("frozen at time 0")
-
-
-@pytest.mark.parametrize(
-    "line, words",
-    [
-        ("export-ply", "file"),
-        ("export-ply lost.p4dgs", "lost.p4dgs"),
-        ("export-ply bouncing.p4dgs --time 1.5", "--time"),
-        ("export-ply bouncing.p4dgs --time soon", "--time"),
-        ("export-ply bouncing.p4dgs --camera -1", "--camera"),
-        ("export-ply bouncing.p4dgs --camera 10", "--camera 10: expected one of the views 0 ... 9"),
-        ("export-ply bouncing.p4dgs --scene nowhere", "nowhere: no such folder"),
-        ("export-ply bouncing.p4dgs --background red", "--background red"),
-        ("view sum.p4dgs bouncing.p4dgs -o bouncing.p4dgs", "bouncing.p4dgs: this is the input"),
-        ("export-ply bouncing.p4dgs -o .", ".: expected a regular file"),
-        ("export-ply bouncing.p4dgs -o /proc/x/y.ply", "/proc/x: expected a folder"),
-    ],
-)
-def test_mistakes(place, refused, line, words):
-    refused(line, (words,))

@@ -9,7 +9,6 @@ from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.header import AXES, FIELDS
 from p4dgs_ref.limits import MAX_BOX, MAX_OF
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.splatting import tiles
 from tests.golden.both import VERSIONS, sections_of, write_container
 from tests.golden.conformance_good import LARGEST, Parts, coded_parts
 from tests.sampling import few
@@ -90,9 +89,3 @@ def test_every_command_takes_a_valid_file(run, scene, tmp_path, monkeypatch, see
             warnings.simplefilter("error", RuntimeWarning)
             code, _, err = run(line)
         assert code == 0 or (refusal and refusal in err), (line, err)
-
-
-def test_a_picture_of_too_many_pairs_is_refused(files, refused, monkeypatch):
-    monkeypatch.chdir(files)
-    monkeypatch.setattr(tiles, "MAX_PAIRS", 0)
-    refused("render sum.p4dgs -o ../drawn", ("pairs of Gaussians and tiles: expected at most 0",))

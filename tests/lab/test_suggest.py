@@ -207,26 +207,3 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == kept
-
-
-@pytest.mark.parametrize(
-    "line, word",
-    [
-        ("effects static --apply", "--suggest"),
-        ("effects static --suggest --apply --jobs 1", "packaged"),
-    ],
-)
-def test_apply_is_refused_in_one_line(line, word, quick, capsys):
-    assert run(line) == 2
-    error = capsys.readouterr().err
-    assert word in error and error.count("\n") == 1
-
-
-@pytest.mark.filterwarnings("always:scene")  # of a command: a line
-def test_train_points_to_the_suggestion_where_no_effects_are_listed(folder, tmp_path, capsys):
-    line = f"train {folder} --preset smoke --set stage_ends=1,1,2,2 --set mask_from=2 --quiet"
-    assert run(f"{line} -o {tmp_path / 'run'}") == 0
-    assert "--suggest --apply" in capsys.readouterr().err
-    (folder / "scene.json").write_text('{"effects": ["occlusion", "background"]}', encoding="utf-8")
-    assert run(f"{line} -o {tmp_path / 'other'}") == 0
-    assert "--suggest" not in capsys.readouterr().err

@@ -228,7 +228,7 @@ def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
     x, alpha = rng.uniform(-1, 1, (n, 3)), rng.uniform(0.01, 0.05, n)
     inputs = x, np.full((n, 3), scale), r, alpha, np.ones((n, 3)), camera, np.ones(3), FAST
     monkeypatch.setattr(tiles, "MAX_PAIRS", 0)
-    with pytest.raises(ValueError, match="pairs of Gaussians and tiles") as refused:
+    with pytest.raises(tiles.TooManyPairs, match="pairs of Gaussians and tiles") as refused:
         render.forward(*inputs)
     pairs = int(str(refused.value).split()[0])
     monkeypatch.setattr(tiles, "MAX_PAIRS", pairs)  # just enough
