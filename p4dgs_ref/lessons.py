@@ -435,8 +435,6 @@ def difference(mine, right, example=""):
         if np.isclose(abs(factor), known, near, 0)
     ]
     unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
-    sign = "right" if factor > 0 else "wrong"
-    size = "large" if abs(factor) > 1 else "small"
     some = f"{wrong.sum()} of {right.size} numbers"
     rules = (
         *((True, f"{place or 'it'} is {mine[tuple(place)]}") for place in lost),
@@ -445,7 +443,8 @@ def difference(mine, right, example=""):
         (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
         (
             right.size == 1 and np.isfinite(factor),
-            f"it is wrong: its sign is {sign}, its magnitude too {size}",
+            f"it is wrong: its sign is {'right' if factor > 0 else 'wrong'}, its magnitude too "
+            f"{'large' if abs(factor) > 1 else 'small'}",
         ),
         (
             np.isclose(mine, factor * right, rounding, 0).all(),

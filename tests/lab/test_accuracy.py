@@ -246,9 +246,6 @@ def test_a_verdict_is_computed_from_the_numbers(kind, points, wanted):
     assert row["verdict"] in report.ORDER and len(row["verdict"].split()) <= 5
 
 
-# --- figures -------------------------------------------------------------------------------------
-
-
 # --- the page ------------------------------------------------------------------------------------
 @pytest.fixture
 def overlapping(monkeypatch):

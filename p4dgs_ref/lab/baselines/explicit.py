@@ -24,7 +24,6 @@ the presets. Statistics are those of `training.density`, with one child per Gaus
 
 import json
 import math
-from contextlib import suppress
 from dataclasses import dataclass, make_dataclass
 from typing import Any, ClassVar
 
@@ -246,16 +245,13 @@ def read_file(path):
     Raises an error for a file that no model has saved.
     """
     vertices, comments, rest = read_ply(path)
-    values = None
-    with suppress(IndexError, ValueError):
-        values = json.loads(comments[0])
     require(
-        isinstance(values, dict),
+        "".join(comments[:1]).startswith("{"),
         path,
         "expected a .p4dgs file, or a .ply that `compare` has written for a baseline",
     )
     rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
-    network = np.frombuffer(rest, "<f4")
+    values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
     count = sum(map(math.prod, values["shapes"].values()))
     require(len(network) == count, path, f"expected {count} float32 after the vertices")
     arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
