@@ -47,12 +47,11 @@ def forward(
 
     Accurate for |f_noisy - mu| <= 1000 sigma and 1e-12 <= q / sigma <= 1e6; smooth everywhere,
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
-    ValueError where sigma, q or q / sigma is not positive, or not between 2^-1022 and 2^1022.
+    ValueError where sigma, q or q / sigma is not from LEAST to 1 / LEAST.
     """
-    check_normal("sigma", sigma)
-    check_normal("q", q)
-    with np.errstate(over="ignore"):
-        check_normal("q / sigma", np.divide(q, sigma, dtype=np.float64))
+    check_range("sigma", sigma)
+    check_range("q", q)
+    check_range("q / sigma", np.divide(q, sigma, dtype=np.float64))
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
     inputs = [a.reshape(-1) for a in (f_noisy, mu, sigma, q)]
     for start in range(0, f_noisy.size, PIECE):
@@ -151,8 +150,8 @@ def phi(v):
     return PHI_0 * np.exp(-0.5 * v**2)
 
 
-def check_normal(name, a):
-    """Raise ValueError for the first entry whose slopes are beyond float64; NaN gives NaN."""
+def check_range(name, a):
+    """Raise ValueError for the first entry that is not from LEAST to 1 / LEAST; NaN passes."""
     if a.min(initial=1) < LEAST or a.max(initial=1) > 1 / LEAST:
         a = a.astype(np.float64)
         index = np.argwhere((a < LEAST) | (a > 1 / LEAST))[0].tolist()
