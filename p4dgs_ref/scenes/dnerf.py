@@ -6,10 +6,9 @@ in OpenGL. Ours count from the centre of the first pixel and look along +z with 
 camera-to-world matrix change their sign.
 
 instant-ngp and nerfstudio write such files with more fields. The tables LENS, FRAME and TRANSFORMS
-have a row for every field of these dialects, whose check says what becomes of it. Some are refused
-unless they are 0, false or empty, because they would change pictures or cameras (`off`); others are
-not looked at, because they only tell another program how to train (`unused`). A field without a row
-is not looked at either, with a warning.
+have a row for every field that is read. A field that would change pictures or cameras in another
+way is refused unless it is 0, false or empty (`off`). HARMLESS names the fields that only tell
+another program how to train. Any other field is named in a warning.
 
 Focal lengths and the principal point are pixels of an image of w x h. Where the pictures have
 another size, they are scaled. All views of a file have one lens; frames may repeat its fields.
@@ -53,10 +52,6 @@ def off(value, where, expected):
     )
 
 
-def unused(value, where):
-    """Check nothing."""
-
-
 def optional(names, check, **settings):
     """The rows of fields that may be missing."""
     return dict.fromkeys(names.split(), (partial(check, **settings), None))
@@ -90,9 +85,6 @@ FRAME = {
     ),
     **optional("intrinsic_matrix", off, expected="fl_x, fl_y, cx and cy"),
     **optional("mask_path", off, expected="pictures with alpha, without a mask beside them"),
-    **optional(
-        "rotation sharpness depth_path depth_file_path colmap_im_id driver_parameters", unused
-    ),
 }
 TRANSFORMS = {
     "frames": (partial(list_of, check=partial(fields, table=FRAME, others=True)), REQUIRED),
@@ -109,13 +101,13 @@ TRANSFORMS = {
         off,
         expected="the views of one split in every file",
     ),
-    **optional(
-        "aabb aabb_scale scale offset render_aabb up n_frames n_extra_learnable_dims sharpen "
-        "sharpness_discard_threshold importance_sampling integer_depth_scale enable_depth_loading "
-        "enable_ray_loading applied_transform applied_scale orientation_override ply_file_path",
-        unused,
-    ),
 }
+HARMLESS = (
+    "aabb aabb_scale scale offset render_aabb up n_frames n_extra_learnable_dims sharpen "
+    "sharpness_discard_threshold importance_sampling integer_depth_scale enable_depth_loading "
+    "enable_ray_loading applied_transform applied_scale orientation_override ply_file_path "
+    "rotation sharpness depth_path depth_file_path colmap_im_id driver_parameters"
+).split()
 
 
 def read(folder, color, downscale):
@@ -138,8 +130,9 @@ def read_split(folder, file, color, downscale):
         size = image.shape[1::-1]
         check_lens(data, *size, file)
         camera = make_camera(*frame.transform_matrix, data, *size, downscale)
-        shown_name = name.removeprefix("./").removesuffix(".png")
-        views.append(View(shown_name, *shrink(image, color, downscale, where), camera, frame.time))
+        pixels, alpha = shrink(image, color, downscale, where)
+        name = name.removeprefix("./").removesuffix(".png")
+        views.append(View(name, pixels, alpha, camera, frame.time))
     return tuple(views)
 
 
@@ -162,7 +155,7 @@ def read_transforms(file):
         f"{file}: camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    unknown = {*content}.union(*content["frames"]) - TRANSFORMS.keys() - FRAME.keys()
+    unknown = {*content}.union(*content["frames"]) - {*TRANSFORMS, *FRAME, *HARMLESS}
     if unknown:
         warnings.warn(f"{file}: fields that are not known are not read: {shown(sorted(unknown))}")
     return values

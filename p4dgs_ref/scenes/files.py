@@ -125,8 +125,7 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
     place = f"{where}: {file}" if where else file
     kind = "a directory, a device or a broken link" if os.path.lexists(file) else "missing"
     require(os.path.isfile(file), place, f"{kind}; expected {expected}")
-    size = os.path.getsize(file)
-    require(size <= most, place, f"larger than {most} bytes; expected {expected}")
+    require(os.path.getsize(file) <= most, place, f"larger than {most} bytes; expected {expected}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
