@@ -90,37 +90,35 @@ def few_views(scene):
     )
 
 
-def counted(counts):
-    """Counts as words, {what: how many}, without those that are 0."""
-    return ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-
-
 def empty_pictures(scene):
-    """What to say where pictures show nothing, or the same as that of a camera elsewhere."""
+    """What to say where pictures show one colour, or the same as that of a camera elsewhere."""
     views, first = [*scene.train, *scene.test], {}
-    plain = [np.ptp(view.image, axis=(0, 1)).max() == 0 for view in views]
-    others = [first.setdefault(hash(view.image.tobytes()), view) for view in views]
-    moved = [np.any(a.camera.center != b.camera.center) for a, b in zip(views, others)]
-    copies = np.greater(moved, plain).sum()
-    told = counted({"of one colour alone": sum(plain), "equal to that of another camera": copies})
-    return told and (
-        f"scene {scene.name}: of {len(views)} pictures, {told}; good figures on these mean nothing"
+    others = [first.setdefault(view.image.tobytes(), view) for view in views]
+    empty = sum(
+        np.ptp(a.image, axis=(0, 1)).max() == 0 or np.any(a.camera.center != b.camera.center)
+        for a, b in zip(views, others)
+    )
+    if not empty:
+        return ""
+    return (
+        f"scene {scene.name}: {empty} of {len(views)} pictures show one colour alone, or the same "
+        "as that of a camera elsewhere; good figures on these mean nothing"
     )
 
 
-def odd_points(scene, preset, seed=0, points=None):
+def odd_points(scene, preset, seed, points):
     """What to say where points that anchors start from merge, are not seen, or lie far off."""
     points = scene.points if points is None else points
-    # a training with this seed draws the same
+    # A training with this seed draws the same.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
     depth = np.zeros(len(points))  # the largest one at which a picture has the point
     for view in scene.train:
-        c, rest = view.camera, np.flatnonzero(depth <= FAST.near)
-        x, y, z = (points[rest] @ c.R.T + c.T).T
-        u = c.f_x * x + (c.c_x - (c.width - 1) / 2) * z  # pixels from the middle, times z
-        v = c.f_y * y + (c.c_y - (c.height - 1) / 2) * z
-        inside = (abs(u) <= c.width / 2 * z) & (abs(v) <= c.height / 2 * z)
-        depth[rest] = np.maximum(depth[rest], np.where(inside, z, 0))
+        c = view.camera
+        x, y, z = (points @ c.R.T + c.T).T
+        u = c.f_x * x + (c.c_x + 0.5) * z  # pixels from the picture's corner, times z
+        v = c.f_y * y + (c.c_y + 0.5) * z
+        inside = (u >= 0) & (u <= c.width * z) & (v >= 0) & (v <= c.height * z)
+        depth = np.maximum(depth, np.where(inside, z, 0))
     close = np.sum((depth > 0) & (depth <= FAST.near))
     merged = len(points) - len(lattice_nodes(points, preset))
     reach = np.abs(points - np.median(points, axis=0)).max(axis=1)
@@ -133,13 +131,13 @@ def odd_points(scene, preset, seed=0, points=None):
     }
     if not far and max(counts.values()) <= FEW_POINTS * len(points):
         return ""
+    told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return (
-        f"scene {scene.name}: of {len(points)} starting points, {counted(counts)}; "
-        "check their units and axes"
+        f"scene {scene.name}: of {len(points)} starting points, {told}; check their units and axes"
     )
 
 
-def doubts(scene, preset, seed=0, points=None):
+def doubts(scene, preset, seed, points=None):
     """What to say before a training, in one line each; empty where there is nothing to say."""
     return few_views(scene), empty_pictures(scene), odd_points(scene, preset, seed, points)
 

@@ -28,19 +28,21 @@ def test_few_views_are_told_of_in_one_line():
     assert not fit.few_views(scene(fit.FEW_VIEWS))
 
 
-def test_pictures_without_content_are_counted():
+@pytest.mark.parametrize(
+    "change, count",
+    [
+        ({}, 0),
+        ({"image": np.full((12, 16, 3), 0.5)}, 4),
+        ({"image": moving().test[0].image}, 4),
+        ({"image": moving().test[0].image, "camera": moving().test[0].camera}, 0),
+    ],
+)
+def test_pictures_without_content_are_counted(change, count):
     """A good score on them means nothing: an empty model has it, too."""
     full = moving()
-    assert not fit.empty_pictures(full)
-    view, *others = full.train
-    blank = [replace(v, image=np.full_like(v.image, 0.5)) for v in full.train[:2]]
-    told = fit.empty_pictures(replace(full, train=[*blank, *full.train[2:]]))
-    assert "of 5 pictures, 2 of one colour alone;" in told and "\n" not in told
-    copied = [replace(other, image=view.image) for other in others]
-    told = fit.empty_pictures(replace(full, train=[view, *copied]))
-    assert "of 5 pictures, 3 equal to that of another camera;" in told
-    at_rest = [replace(other, image=view.image, camera=view.camera) for other in others]
-    assert not fit.empty_pictures(replace(full, train=[view, *at_rest]))
+    told = fit.empty_pictures(replace(full, train=[replace(v, **change) for v in full.train]))
+    assert "\n" not in told and bool(told) == bool(count)
+    assert f": {count} of 5 pictures show one colour alone, or" in told or not count
 
 
 CLOUD = np.random.default_rng(0).uniform(-0.3, 0.3, (500, 3))
@@ -61,10 +63,10 @@ POINTS = [
 @pytest.mark.parametrize("points, extent, words", POINTS)
 def test_starting_points_that_training_cannot_use_are_counted(points, extent, words):
     preset = replace(TINY, extent=extent)
-    told = fit.odd_points(replace(scene(30), points=points), preset)
+    told = fit.odd_points(replace(scene(30), points=points), preset, 0, None)
     assert bool(told) == bool(words) and "\n" not in told
     assert [word for word in words if word not in told] == [], told
-    assert fit.odd_points(scene(30), preset, points=points) == told
+    assert fit.odd_points(scene(30), preset, 0, points) == told
 
 
 @pytest.mark.parametrize("share, is_told", [(0, True), (0.28, True), (0.3, False), (1, False)])
@@ -109,7 +111,7 @@ def test_training_warns_before_and_after(work, tmp_path):
     blank = replace(view, image=np.ones_like(view.image))
     odd = replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
     told = messages(work, odd, "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
-    words = ("training views", "1 of one colour", "8 sharing the voxel", "is lost")
+    words = ("training views", "1 of 5 pictures", "8 sharing the voxel", "is lost")
     assert [word in line for word, line in zip(words, told, strict=True)] == [True] * 4
 
 
