@@ -153,11 +153,16 @@ ENDS_OF_RANGES = [
 ]
 
 
+def with_header(sections, **fields):
+    """The sections with some fields of the header replaced, or removed where the value is `...`."""
+    header = {**json.loads(sections["header"]), **fields}
+    kept = {name: value for name, value in header.items() if value is not ...}
+    return {**sections, "header": json.dumps(kept).encode()}
+
+
 def with_field(data, name, value):
     """A file of version 1 with another value of a field of its header."""
-    sections = read_container(data)
-    header = {**json.loads(sections["header"]), name: value}
-    return write_container({**sections, "header": json.dumps(header).encode()})
+    return write_container(with_header(read_container(data), **{name: value}))
 
 
 def prefixes(data):

@@ -10,11 +10,11 @@ from p4dgs_ref.codec.container import SECTIONS, BitstreamError, EncodeError
 from p4dgs_ref.codec.gaussian_table import MU_LIMIT
 from p4dgs_ref.codec.header import check_work, declared_numbers
 from p4dgs_ref.designs import HAS_OURS, PRESETS, decode, encode, read_container
-from p4dgs_ref.limits import MAX_NUMBERS
+from p4dgs_ref.limits import MAX_NUMBERS, MAX_OF
 from p4dgs_ref.report.inspect import ledger
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of
-from tests.codec.models import MAKE, changed, random_model, refusal
+from tests.codec.models import MAKE, changed, random_model, refusal, with_header
 from tests.golden.both import NEEDS_OURS, VERSIONS, quantise, read_header, write_container
 from tests.golden.sample_model import sample_model
 
@@ -46,13 +46,6 @@ def refused(sections, where, why="", version=1):
     for read in (decode, ledger):
         error = refusal(read, data)
         assert error.section == where and why in error.message
-
-
-def with_header(sections, **fields):
-    """The sections with some fields of the header replaced, or removed where the value is `...`."""
-    header = {**json.loads(sections["header"]), **fields}
-    kept = {name: value for name, value in header.items() if value is not ...}
-    return {**sections, "header": json.dumps(kept).encode()}
 
 
 @pytest.mark.parametrize("name", SECTIONS)
@@ -99,7 +92,6 @@ def test_other_counts_do_not_fit_the_sections(sections, coded):
 
 
 # Values that no field of their kind may have.
-LARGEST = {"anchors": 2**22, "d": 4096, "k": 256, "F": 64, "L_x": 64, "L_t": 64}
 NO_INTEGERS = [0, -1, 1.0, True, "4", None, [4], 10**400, float("nan")]
 NO_WIDTHS = [4, "xyz", None, {}, [0], [True], [[8]], [1.5], [None], [2**15], [8] * 9]
 NO_GRIDS = [
@@ -128,7 +120,7 @@ NO_OPACITIES = [None, True, "0", [0], 1.5, -(2.0**-1074), 10**400, float("inf"),
 NO_COLORS = [None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb"]
 NO_EFFECTS = [None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2]
 NONSENSE = {
-    **{name: [*NO_INTEGERS, most + 1] for name, most in LARGEST.items()},
+    **{name: [*NO_INTEGERS, most + 1] for name, most in {"anchors": 2**22, **MAX_OF}.items()},
     "hidden": NO_WIDTHS,
     "deformation": NO_WIDTHS,
     "context": NO_WIDTHS,

@@ -21,7 +21,7 @@ from p4dgs_ref.designs import decode, encode, quantised_of, read_container
 from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
-from tests.codec.models import changed, digest, refusal
+from tests.codec.models import changed, digest, refusal, with_header
 from tests.golden import fuzz
 from tests.golden.both import NEEDS_OURS, VERSIONS, quantise, write_container
 from tests.golden.damage import assemble, damage_header, mutation
@@ -279,8 +279,7 @@ def test_hostile_headers_cost_no_memory():
         (dict(large, grid=[["xyz", 63]] * 2), "header"),
     ):
         sections = second if version else {**first, **full}
-        body = json.dumps({**json.loads(sections["header"]), **fields}).encode()
-        data = write_container({**sections, "header": body}, *version)
+        data = write_container(with_header(sections, **fields), *version)
         with traced(2**20):
             assert refusal(decode, data).section == where, fields
 
