@@ -62,11 +62,8 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
         assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
 
 
-def archive(points):
-    """An .npz file."""
-    file = io.BytesIO()
-    np.savez(file, points)
-    return file.getvalue()
+NPZ = io.BytesIO()
+np.savez(NPZ, POINTS)
 
 
 def header(old="", new=""):
@@ -98,7 +95,7 @@ def header(old="", new=""):
         ("count.ply", header("vertex 4", f"vertex {10**30}"), ["a binary .ply"]),
         ("nan.ply", header() + binary("<", [[1, np.nan, 3]] * 4), ["finite"]),
         ("text.npy", b"no array", ["points in a .npy"]),
-        ("archive.npy", archive(POINTS), ["read", "points in a .npy"]),
+        ("archive.npy", NPZ.getvalue(), ["read", "points in a .npy"]),
         ("no.bin", b"", ["byte 8"]),
         ("none.bin", points3d(()), ["1 to 4194304 points"]),
         ("cut.bin", points3d()[:-1], ["read", "points3D.txt or .bin"]),
