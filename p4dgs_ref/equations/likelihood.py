@@ -49,9 +49,9 @@ def forward(
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
     ValueError where sigma, q or q / sigma is not from LEAST to 1 / LEAST.
     """
-    check_range("sigma", sigma)
-    check_range("q", q)
-    check_range("q / sigma", np.divide(q, sigma, dtype=np.float64))
+    check_normal("sigma", sigma)
+    check_normal("q", q)
+    check_normal("q / sigma", np.divide(q, sigma, dtype=np.float64))
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
     inputs = [a.reshape(-1) for a in (f_noisy, mu, sigma, q)]
     for start in range(0, f_noisy.size, PIECE):
@@ -150,7 +150,7 @@ def phi(v):
     return PHI_0 * np.exp(-0.5 * v**2)
 
 
-def check_range(name, a):
+def check_normal(name, a):
     """Raise ValueError for the first entry that is not from LEAST to 1 / LEAST; NaN passes."""
     if a.min(initial=1) < LEAST or a.max(initial=1) > 1 / LEAST:
         a = a.astype(np.float64)

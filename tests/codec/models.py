@@ -1,8 +1,10 @@
 """Models that several tests of the codec encode and decode."""
 
+import contextlib
 import dataclasses
 import hashlib
 import json
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -163,6 +165,18 @@ def with_header(sections, **fields):
 def with_field(data, name, value):
     """A file of version 1 with another value of a field of its header."""
     return write_container(with_header(read_container(data), **{name: value}))
+
+
+@contextlib.contextmanager
+def traced(most):
+    """Check that the block allocates at most this many bytes at any time."""
+    tracemalloc.start()
+    try:
+        yield
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak <= most, f"{peak / 2**20:.1f} MiB, expected at most {most / 2**20:.1f}"
 
 
 def prefixes(data):

@@ -1,8 +1,6 @@
 """Hostile files: every damage is refused, and the memory of decoding is bounded by the header."""
 
-import contextlib
 import json
-import tracemalloc
 from collections import Counter
 from datetime import date
 
@@ -21,7 +19,7 @@ from p4dgs_ref.designs import decode, encode, quantised_of, read_container
 from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
-from tests.codec.models import changed, digest, refusal, with_header
+from tests.codec.models import changed, digest, refusal, traced, with_header
 from tests.golden import fuzz
 from tests.golden.both import NEEDS_OURS, VERSIONS, quantise, write_container
 from tests.golden.damage import assemble, damage_header, mutation
@@ -173,18 +171,6 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
 
 
 # --- Memory ---
-
-
-@contextlib.contextmanager
-def traced(most):
-    """Check that the block allocates at most this many bytes at any time."""
-    tracemalloc.start()
-    try:
-        yield
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak <= most, f"{peak / 2**20:.1f} MiB, expected at most {most / 2**20:.1f}"
 
 
 def bytes_of_arrays(model):
