@@ -10,6 +10,10 @@ from .compositing import depth_order
 MAX_PAIRS = 2**23
 
 
+class TooManyPairs(ValueError):
+    """Lists that would need more memory than `bin_splats` may take."""
+
+
 class Lists(NamedTuple):
     """K pairs of a Gaussian and a tile, tile by tile, and front to back within a tile."""
 
@@ -40,7 +44,7 @@ def bin_splats(
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
     if count.sum() > MAX_PAIRS:
-        raise ValueError(
+        raise TooManyPairs(
             f"{count.sum()} pairs of Gaussians and tiles: expected at most {MAX_PAIRS}; smaller "
             "pictures, or fewer or smaller Gaussians, have fewer"
         )
