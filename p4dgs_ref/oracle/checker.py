@@ -59,8 +59,8 @@ def check(forward, key, vjp=None, strict=False):
     are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
     is no better. Raises KeyError where `key` is no subject.
     """
-    port = FunctionPort(forward, vjp)
-    return Report(check_subject(published.cases(key), port, strict), strict=strict)
+    results = check_subject(published.cases(key), FunctionPort(forward, vjp), strict)
+    return Report(results, strict=strict)
 
 
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
@@ -153,17 +153,19 @@ def judge_answer(case, got, roles=ROLES, strict=False):
     got = {name: a for name, a in got.items() if name not in unasked}
     findings = findings_of(case, got, names) if names else []
     printed, mine = as_printed(case, got)
-    mistaken = findings_of(printed, mine, names) if findings else []
-    mistaken = [f for f in mistaken if not is_defensible(case, got, f)]
+    mistaken = [
+        finding
+        for finding in findings and findings_of(printed, mine, names)
+        if not is_defensible(case, got, finding)
+    ]
     # Where a wrong answer would be as near, it means nothing to be as near as the printed formula.
     wide = printed.unasked(precision(got)) if findings and not strict else []
     vague = {f.tensor for f in findings if f.tensor in wide} - {f.tensor for f in mistaken}
     findings = [f for f in findings if f.tensor not in vague]
     names = [name for name in names if name not in vague]
+    verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     if not findings:
         verdict = "pass" if names else "unasked"
-    else:
-        verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     return Result(
         case.id,
         rooms.blamed(case, mistaken or findings),

@@ -95,7 +95,11 @@ def diagnose(subject, answers):
     rows = explain(mistakes, answers)
     outputs, gradients = (_of(answers, role) for role in ROLES.values())
     of_outputs = _best(explain(mistakes, outputs, "outputs"))
-    backward = [mistake for mistake in mistakes if not _changes_outputs(mistake)]
+    backward = [
+        mistake
+        for mistake in mistakes
+        if not any(name.startswith("out.") for a in mistake.answers.values() for name in a)
+    ]
     of_gradients = _best(explain(backward, gradients, "gradients"))
     explained = _best(rows)
     if not any(wrong for *_, wrong in gradients):  # a mistake in the outputs alone fits as well
@@ -131,11 +135,6 @@ def explain(mistakes, answers, part=""):
         if any(id.partition("/")[2] not in row.mistake.noisy for id in row.cases)
         and all(_agrees(row.mistake, *r) for r in right)
     ]
-
-
-def _changes_outputs(mistake):
-    """Whether a mistake shows in outputs; then it does not explain gradients alone."""
-    return any(name.startswith("out.") for tensors in mistake.answers.values() for name in tensors)
 
 
 def _best(rows):

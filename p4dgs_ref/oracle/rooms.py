@@ -39,26 +39,26 @@ def _room(settings, wrong):
     step, names = min(wrong.items())
     iteration, every = settings.get("iteration", 0) + step, settings.get("grow_every", 0)
     begins_stage_4 = settings.get("stage_ends", [0, 0, 0])[2] == iteration > 0
+    adjusts = every and (iteration + 1) % every == 0 and step > 0
     lost = next((of for loss, of in LOSSES.items() if names.keys() >= {*loss.split()}), None)
     positions = any("x_a" in others for others in wrong.values())
-    if "box" in names or begins_stage_4 and lost and positions:
-        return LATTICE
-    if lost and begins_stage_4:  # the noise of the image has the steps of the grid from here on
-        return "hash_grid" if "L1" in names else lost
-    if lost and step > 0:  # the state before this step is wrong
-        return DENSITY if every and iteration % every == 0 else STEP
-    if lost:
-        return lost
-    if "rates" in names:
-        return RATES
-    if "gradient_norm" in names:
-        return GRADIENTS
-    adjusts = every and (iteration + 1) % every == 0 and step > 0
-    if adjusts or "shape" in names.values():
-        return DENSITY
-    if any(name.startswith("m_") and f"v_{name[2:]}" in names for name in names):
-        return GRADIENTS
-    return DENSITY if names.keys() & STATISTICS else ADAM
+    moments = any(name.startswith("m_") and f"v_{name[2:]}" in names for name in names)
+    rules = (
+        (LATTICE, "box" in names or lost and begins_stage_4 and positions),
+        # From stage 4 on, the noise of the image has the steps of the grid.
+        ("hash_grid", lost and begins_stage_4 and "L1" in names),
+        (lost, lost and (begins_stage_4 or step == 0)),
+        # Otherwise the state before this step is wrong.
+        (DENSITY, lost and every and iteration % every == 0),
+        (STEP, lost),
+        (RATES, "rates" in names),
+        (GRADIENTS, "gradient_norm" in names),
+        (DENSITY, adjusts or "shape" in names.values()),
+        (GRADIENTS, moments),
+        (DENSITY, names.keys() & STATISTICS),
+        (ADAM, True),
+    )
+    return next(room for room, holds in rules if holds)
 
 
 def shared_by(result):

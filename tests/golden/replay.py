@@ -148,11 +148,11 @@ def views_of(W, T, focal, center, size, times, truth):
     return tuple(View("", image, None, camera, time) for image, camera, time in named)
 
 
-def trainer_of(trainer, state, views, background, iteration, effects, settings):
+def trainer_of(state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
     preset = replace(PRESET, **{n: v for n, v in settings.items() if n in rows_of(PRESET)})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
-    trainer = trainer(scene, preset, settings=EXACT)
+    trainer = Replayed(scene, preset, settings=EXACT)
     p, m, v = (
         parted({name: state[tag + name] for name in ARRAYS}, trainer.design) for tag in ROLES
     )
@@ -184,7 +184,7 @@ def state_of(trainer):
     return state
 
 
-def steps(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
+def steps(u, views, iteration, effects, draws=(), **inputs):
     """Yield the losses and learning rates of every step from a state, and the state after it.
 
     Growing, masking and the change of the stage happen within the steps where the settings say so.
@@ -192,8 +192,7 @@ def steps(u, views, iteration, effects, draws=(), trainer=Replayed, **inputs):
     scene = {name: inputs.pop(name) for name in GIVEN}
     background = scene.pop("background")
     settings = {name: inputs.pop(name) for name in SETTINGS}
-    given = inputs, views_of(**scene), background, iteration, effects, settings
-    trainer = trainer_of(trainer, *given)
+    trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
     trainer.rng = GivenNumbers(u, draws)
     trainer.order = views[::-1]
     for _ in views:

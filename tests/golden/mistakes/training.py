@@ -10,104 +10,56 @@ from p4dgs_ref.oracle.rooms import ADAM, DENSITY, RATES
 from p4dgs_ref.training import density
 from p4dgs_ref.training.density import ROWS
 from p4dgs_ref.training.parameters import BETA_1, BETA_2, Adam, exponential
+from p4dgs_ref.training.trainer import Trainer
 from tests.golden import pipeline
 from tests.golden.mistakes.kit import surgery
-from tests.golden.replay import Replayed, replay
+from tests.golden.replay import Replayed
+from tests.golden.subjects import subjects
+
+dead_anchors, grow = density.dead_anchors, density.grow
 
 
-class Inherits(Replayed):
+def inherits(self, keep, added=None):
     """New anchors start with the moments of old ones."""
-
-    def keep_rows(self, keep, added=None):
-        super().keep_rows(keep, added)
-        count = len(added["x_a"])
-        for moments in (self.adam.first, self.adam.second):
-            for name in ROWS:
-                rows = moments[name]
-                rows[-count:] = np.resize(rows[:-count], rows[-count:].shape)
+    Trainer.keep_rows(self, keep, added)
+    count = len(added["x_a"])
+    for moments in (self.adam.first, self.adam.second):
+        for name in ROWS:
+            rows = moments[name]
+            rows[-count:] = np.resize(rows[:-count], rows[-count:].shape)
 
 
-class Anew(Replayed):
+def starts_anew(self, keep, added=None):
     """After growing all moments and counts start at zero."""
-
-    def keep_rows(self, keep, added=None):
-        super().keep_rows(keep, added)
-        self.adam = Adam(self.parameters)
+    Trainer.keep_rows(self, keep, added)
+    self.adam = Adam(self.parameters)
 
 
-class KeepsTheDead(Replayed):
-    """Anchors grow, but none dies."""
-
-    def keep_rows(self, keep, added=None):
-        super().keep_rows(np.ones_like(keep), added)
-
-
-class CountsTheMasked(Replayed):
-    """Masked children keep an anchor alive."""
-
-    def keep_rows(self, keep, added=None):
-        every = np.ones_like(self.mask)
-        dead = density.dead_anchors(self.statistics, every, self.preset)
-        super().keep_rows(~dead, added)
-
-
-class JudgesByBestChild(Replayed):
+def best_child(statistics, mask, preset):
     """An anchor dies where none of its children is visible enough by itself."""
-
-    def keep_rows(self, keep, added=None):
-        best = (self.statistics.opacity * self.mask).max(axis=1, keepdims=True)
-        dead = density.dead_anchors(replace(self.statistics, opacity=best), 1, self.preset)
-        super().keep_rows(~dead, added)
+    best = (statistics.opacity * mask).max(axis=1, keepdims=True)
+    return dead_anchors(replace(statistics, opacity=best), 1, preset)
 
 
-class LargeScales(Replayed):
-    """The scales of anchors have no upper limit."""
-
-    def keep_rows(self, keep, added=None):
-        super().keep_rows(keep, added)
-        self.large = self.parameters["log_s"].copy()
-
-    def adjust(self):
-        self.large = self.parameters["log_s"]
-        super().adjust()
-        self.parameters["log_s"][...] = self.large
-
-
-class LinearScales(Replayed):
+def linear_sizes(*given):
     """The size of a voxel is stored where its logarithm belongs."""
-
-    def keep_rows(self, keep, added=None):
-        sizes = {name: np.exp(added[name]) for name in ("log_s", "log_l")}
-        super().keep_rows(keep, {**added, **sizes})
+    added = grow(*given)
+    return added | {name: np.exp(added[name]) for name in ("log_s", "log_l")}
 
 
-class MovesInStage4(Replayed):
+def moves_in_stage_4(self, name):
     """Positions go on learning when the grid has located them."""
-
-    def rate_of(self, name):
-        if name != "x_a":
-            return super().rate_of(name)
-        preset = self.preset
-        return exponential(self.iteration, *preset.lr_x, preset.iterations, preset.decay_from)
+    if name != "x_a":
+        return Trainer.rate_of(self, name)
+    preset = self.preset
+    return exponential(self.iteration, *preset.lr_x, preset.iterations, preset.decay_from)
 
 
-class CountsIterations(Replayed):
+def counts_iterations(self):
     """The bias of the moments is corrected by the iteration, also for arrays that join late."""
-
-    def step(self):
-        steps = self.adam.steps
-        self.adam.steps = dict.fromkeys(steps, steps["f_a"])
-        return super().step()
-
-
-class NeverMasks(Replayed):
-    """Faint children are never masked."""
-
-    def adjust(self):
-        before = self.mask.copy()
-        super().adjust()
-        if self.mask.shape == before.shape:
-            self.mask = before
+    steps = self.adam.steps
+    self.adam.steps = dict.fromkeys(steps, steps["f_a"])
+    return Trainer.step(self)
 
 
 class StockAdam(Adam):
@@ -129,14 +81,6 @@ class StockAdam(Adam):
 
 class WithItsDefault(StockAdam):
     epsilon = 1e-8
-
-
-def of_trace(id, description, adam):
-    def run(given, _):
-        with patch.object(pipeline, "Adam", adam):
-            return pipeline.trace_vjp(**given)[0], {}
-
-    return surgery("trace", id, description, run)._replace(room=ADAM)
 
 
 def through_the_grid(given, _):
@@ -177,22 +121,33 @@ def of_positions(signs, h_bar, x_a, lo, hi, resolutions, **_):
     return x_bar
 
 
-def of_training(id, description, replayed, room):
-    def run(given, _):
-        return replay(**given, trainer=replayed)[0], {}
+def of_training(subject, id, description, room, owner, name, wrong):
+    """Return a mistake in one function or number of the training, which a room is to blame for."""
 
-    return surgery("training", id, description, run)._replace(room=room)
+    def run(given, _):
+        with patch.object(owner, name, wrong):
+            return subjects()[subject].vjp(**given)[0], {}
+
+    return surgery(subject, id, description, run)._replace(room=room)
 
 
 MISTAKES = [
-    of_trace(
+    of_training(
+        "trace",
         "adam-epsilon-after-correction",
         "stock torch.optim.Adam: eps is added after the bias correction of v instead of before",
+        ADAM,
+        pipeline,
+        "Adam",
         StockAdam,
     ),
-    of_trace(
+    of_training(
+        "trace",
         "adam-default-epsilon",
         "torch.optim.Adam with its default eps = 1e-8, which is far above small gradients",
+        ADAM,
+        pipeline,
+        "Adam",
         WithItsDefault,
     ),
     surgery(
@@ -202,55 +157,93 @@ MISTAKES = [
         through_the_grid,
     )._replace(room="hash_grid"),
     of_training(
+        "training",
         "training-moments-not-reset",
         "new anchors start with the moments of old ones instead of zeros",
-        Inherits,
         DENSITY,
+        Replayed,
+        "keep_rows",
+        inherits,
     ),
     of_training(
+        "training",
         "training-optimiser-anew",
         "growing starts all moments and counts of Adam anew",
-        Anew,
         DENSITY,
+        Replayed,
+        "keep_rows",
+        starts_anew,
     ),
     of_training(
-        "training-dead-stay", "anchors grow, but dead ones are not removed", KeepsTheDead, DENSITY
+        "training",
+        "training-dead-stay",
+        "anchors grow, but dead ones are not removed",
+        DENSITY,
+        density,
+        "dead_anchors",
+        lambda _, mask, __: np.zeros(len(mask), bool),
     ),
     of_training(
+        "training",
         "training-dead-unmasked",
         "the opacities of masked children count for their anchor, which then does not die",
-        CountsTheMasked,
         DENSITY,
+        density,
+        "dead_anchors",
+        lambda sums, _, preset: dead_anchors(sums, 1, preset),
     ),
     of_training(
+        "training",
         "training-dead-by-best-child",
         "an anchor dies where its best child is too faint, not where all of them together are",
-        JudgesByBestChild,
         DENSITY,
+        density,
+        "dead_anchors",
+        best_child,
     ),
     of_training(
+        "training",
         "training-large-scales",
         "log_s is not clamped to 0.05 where anchors grow and die",
-        LargeScales,
         DENSITY,
+        density,
+        "MAX_LOG_SCALE",
+        np.inf,
     ),
     of_training(
+        "training",
         "training-linear-sizes",
         "new anchors store the size of their voxel where its logarithm belongs",
-        LinearScales,
         DENSITY,
+        density,
+        "grow",
+        linear_sizes,
     ),
     of_training(
+        "training",
         "training-positions-move",
         "positions go on moving in stage 4, away from where the grid has located them",
-        MovesInStage4,
         RATES,
+        Replayed,
+        "rate_of",
+        moves_in_stage_4,
     ),
     of_training(
+        "training",
         "training-counts-iterations",
         "Adam corrects its bias by the iteration, also for arrays that join in stage 4",
-        CountsIterations,
         ADAM,
+        Replayed,
+        "step",
+        counts_iterations,
     ),
-    of_training("training-never-masks", "faint children are never masked", NeverMasks, DENSITY),
+    of_training(
+        "training",
+        "training-never-masks",
+        "faint children are never masked",
+        DENSITY,
+        density,
+        "faint_children",
+        lambda *_: np.False_,
+    ),
 ]
