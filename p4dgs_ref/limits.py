@@ -24,7 +24,8 @@ MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14  # also of a .ply; of other file
 MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 
 # Answers of a port.
-MAX_ANSWER_BYTES, MAX_ANSWER_HEADER_BYTES = 2**28, 2**20
+MAX_ANSWER_BYTES, MAX_ANSWER_HEADER_BYTES = 2**28, 2**20  # of a file
+MAX_LINE_BYTES = 2**26  # of an answer by a process
 
 # The classroom.
 MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the key has 6,000

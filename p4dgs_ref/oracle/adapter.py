@@ -42,13 +42,13 @@ import time
 
 import numpy as np
 
+from ..limits import MAX_LINE_BYTES, cut
 from .compare import cast
 from .ports import ROLES, PortError
 from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
-MAX_ANSWER_BYTES = 2**26
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3
@@ -101,8 +101,11 @@ class Adapter(contextlib.AbstractContextManager):
             for name, a in unpacked(answer, role.strip(".")).items()
         }
         for name, a in got.items():
-            is_asked = a.dtype.kind != "f" or a.dtype == self.dtype
-            require(is_asked, name, f"expected {self.dtype} as in the first line, got {a.dtype}")
+            require(
+                a.dtype.kind != "f" or a.dtype == self.dtype,
+                name,
+                f"expected {self.dtype} as in the first line, got {a.dtype}",
+            )
         return got
 
     def decode(self, name, data):
@@ -113,7 +116,7 @@ class Adapter(contextlib.AbstractContextManager):
         request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
         answer = self._ask(request, "codec")
         if answer.get("refused") is not None:
-            return None, _short(answer["refused"])
+            return None, cut(str(answer["refused"]))
         return unpacked(answer, "arrays"), None
 
     def rest(self):
@@ -123,7 +126,7 @@ class Adapter(contextlib.AbstractContextManager):
         """
         child = self.child
         self.close()
-        return _short(repr(bytes(child.unread))[1:]) if child and child.unread else ""
+        return cut(repr(bytes(child.unread))[1:]) if child and child.unread else ""
 
     def __exit__(self, *_):
         self.close()
@@ -185,7 +188,7 @@ class Adapter(contextlib.AbstractContextManager):
             raise PortError("absent", "the port does not name this subject in its first line")
         for field, kind in ("skip", "skipped"), ("error", "error"):
             if answer.get(field) is not None:
-                raise PortError(kind, _short(answer[field]))
+                raise PortError(kind, str(answer[field]))
         return answer
 
     def _exchange(self, request, field):
@@ -196,9 +199,9 @@ class Adapter(contextlib.AbstractContextManager):
         require(
             answer is not None,
             "answer",
-            f"expected a line with a JSON object, got {_short(repr(line[:QUOTE_LENGTH])[1:])}",
+            f"expected a line with a JSON object, got {repr(line[:QUOTE_LENGTH])[1:]}",
         )
-        want, got = json.dumps(request[field]), _short(json.dumps(answer.get(field)))
+        want, got = json.dumps(request[field]), json.dumps(answer.get(field))
         require(
             got == want,
             "answer",
@@ -259,9 +262,9 @@ class Child:
                 self.unread += part
                 has_line = has_line or b"\n" in part
                 require(
-                    len(self.unread) <= MAX_ANSWER_BYTES,
+                    len(self.unread) <= MAX_LINE_BYTES,
                     "answer",
-                    f"expected a line of at most {MAX_ANSWER_BYTES:,} bytes, got more",
+                    f"expected a line of at most {MAX_LINE_BYTES:,} bytes, got more",
                 )
         line, _, self.unread = self.unread.partition(b"\n")
         return bytes(line)
@@ -326,8 +329,3 @@ def require(condition, where, expected):
     """Raise a PortError unless the condition holds: an answer breaks the protocol."""
     if not condition:
         raise PortError("nonsense", f"{where}: {expected}")
-
-
-def _short(message):
-    text = str(message)
-    return text if len(text) <= QUOTE_LENGTH else text[:QUOTE_LENGTH] + " ..."

@@ -235,6 +235,7 @@ def _with_explanation_of(source, result):
     """Return a result, with the explanation of another subject's where it failed without one."""
     has_none = not (result.explanation or result.hint or result.recipe)
     if result.findings and has_none and result.subject != source.subject:
-        says = f"{source.explanation} (seen in {source.id})"
-        return result._replace(explanation=says, equation=source.equation)
+        return result._replace(
+            explanation=f"{source.explanation} (seen in {source.id})", equation=source.equation
+        )
     return result

@@ -280,7 +280,7 @@ def test_what_follows_the_last_answer_fails_the_last_case(port):
 
 
 def test_floods_are_bounded(port, monkeypatch):
-    monkeypatch.setattr(adapter_module, "MAX_ANSWER_BYTES", 10**6)
+    monkeypatch.setattr(adapter_module, "MAX_LINE_BYTES", 10**6)
     kind, message = failure(port("if n: send('x' * 2 * 10**6); time.sleep(60)"))
     assert kind == "nonsense" and "1,000,000 bytes" in message
     assert failure(port("while n: send('x\\n' * 65536)"))[0] == "nonsense"
@@ -341,7 +341,7 @@ def test_a_port_may_skip_or_fail():
     )
     assert failure(ask) == ("skipped", "no gradients")
     kind, message = failure(ask)
-    assert kind == "error" and len(message) < 400
+    assert kind == "error" and len(message) < 1100
     assert verdicts(ask, 1) == ["ok"] and ask.child is child
 
 
