@@ -77,7 +77,7 @@ def test_the_regenerated_manifest_is_the_published_one(regenerated):
 def test_adding_cases_leaves_the_published_ones_as_they_are(monkeypatch):
     """Without new cases the files are the published ones, byte for byte."""
     monkeypatch.setattr(vectors, "vector", None)
-    files, manifest = vectors.build(keep=True)
+    files, manifest = vectors.build(keep=lambda _, case: dict(case.record))
     for name, data in files.items():
         assert data == (published.FOLDER / name).read_bytes(), name
     old = published.read_manifest()
@@ -98,7 +98,7 @@ def test_a_tolerance_may_grow_and_the_tensors_stay(monkeypatch):
     narrow = {dtype: {"eps_S": 32} for dtype in ("float64", "float32")}
     for tolerance in (before["tolerance"], narrow):
         kept["ten_steps"] = kept["ten_steps"]._replace(record={**before, "tolerance": tolerance})
-        data, row = vectors.subject_file(subjects()["trace"], kept, renew=True)
+        data, row = vectors.subject_file(subjects()["trace"], kept, vectors.renewed)
         assert data == (published.FOLDER / "trace.safetensors").read_bytes()
         (record,) = row["cases"]
         assert list(record) == list(before) and record["tolerance"].keys() == narrow.keys()
@@ -108,7 +108,10 @@ def test_a_tolerance_may_grow_and_the_tensors_stay(monkeypatch):
 # A training with SSIM as it is printed needed 289 eps S of 64, and the slopes of Eq. (11) 31 of 32.
 @pytest.mark.parametrize("key", few([k for k, s in subjects().items() if s.level != "L3"], 10))
 def test_right_evaluations_use_up_half_of_a_tolerance_at_most(key):
-    """In float64, in float32, and in float32 that asks for float64 nowhere."""
+    """In float64, in float32, and in float32 that asks for float64 nowhere.
+
+    Steps of a training may have SSIM as it is printed, as products or as a convolution.
+    """
     for case in published.cases(key):
         given = case.inputs(), case.cotangents(), case.tensors
         half = case.tolerance("float64")["eps_S"] / 2
