@@ -194,7 +194,6 @@ def test_json_report_keeps_the_contract(tmp_path):
     value = report.as_json(judge_folder(tmp_path, "offsets", arrays))
     value = json.loads(json.dumps(value, allow_nan=False))
     assert value["first_divergence"] == "offsets"
-    assert set(value) >= {"levels", "cases", "first_divergence"}
     versions = {"p4dgs_ref": p4dgs_ref.__version__, "vectors": "v1.2"}
     assert {"versions": versions, "dtype": None, "strict": False}.items() <= value.items()
     for case in value["cases"]:

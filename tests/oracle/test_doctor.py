@@ -17,28 +17,32 @@ from p4dgs_ref.table import EQUATIONS
 from tests.golden import checks, printed
 from tests.golden.kill_matrix import laboratory
 from tests.golden.mutate import applied, mutations
-from tests.oracle.answers import in_precision
+from tests.oracle.answers import Port, in_precision
 from tests.sampling import SEED, few
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
 BOTH = ("out.", "in_bar.")
 
 
-class Patient:
-    """A port with a known mistake, perhaps in outputs or gradients alone."""
+def patient(mistake, roles=BOTH, others=()):
+    """A port with a known mistake, perhaps in outputs or gradients alone.
 
-    def __init__(self, mistake, roles=BOTH):
-        self.mistake, self.roles = mistake, roles
+    In the cases `others` it has another error too.
+    """
 
-    def run(self, case):
-        wrong = self.mistake.answers.get(case.name, {})
-        wrong = {name: a for name, a in wrong.items() if name.startswith(self.roles)}
-        return expected(case.tensors) | wrong
+    def compute(case, _):
+        wrong = mistake.answers.get(case.name, {})
+        wrong = {name: a for name, a in wrong.items() if name.startswith(roles)}
+        got = expected(case.tensors) | wrong
+        return {n: a + 1 for n, a in got.items()} if case.name in others else got
+
+    return Port(compute)
 
 
-def diagnosis(patient):
+def diagnosis(mistake, others):
     """The failing cases of a port with a known mistake."""
-    results = checker.check_subject(published.cases(patient.mistake.subject), patient)
+    port = patient(mistake, others=others)
+    results = checker.check_subject(published.cases(mistake.subject), port)
     return [r for r in results if r.verdict == "fail"]
 
 
@@ -86,12 +90,6 @@ def test_lost_digits_are_not_a_mistake(key, dtype):
     assert told(key, answer, dtype) == []
 
 
-def told_of(key, changes):
-    """The diagnoses of a port that is the equation's own file with some of its text replaced."""
-    wrong = checks.edited(key, changes)
-    return told(key, lambda case: tolerance.answer_of(wrong)(case.inputs(), case.cotangents()))
-
-
 @pytest.mark.parametrize(
     "key, changes, ids",
     [
@@ -106,7 +104,10 @@ def told_of(key, changes):
     ],
 )
 def test_a_mistake_is_not_offered_where_its_outputs_are_not_the_ports(key, changes, ids):
-    assert [row.mistake.id for row in told_of(key, changes)] == ids
+    """Of ports that are the equation's own file with some of its text replaced."""
+    wrong = checks.edited(key, changes)
+    rows = told(key, lambda case: tolerance.answer_of(wrong)(case.inputs(), case.cotangents()))
+    assert [row.mistake.id for row in rows] == ids
 
 
 def test_an_inverted_mask_is_not_an_ignored_one():
@@ -182,8 +183,8 @@ def halves(outputs, gradients):
     """An answer with the outputs of one mistake and the gradients of another."""
 
     def answer(case):
-        wrong = Patient(gradients, ("in_bar.",)).run(case)
-        outputs_of = Patient(outputs, ("out.",)).run(case)
+        wrong = patient(gradients, ("in_bar.",)).run(case)
+        outputs_of = patient(outputs, ("out.",)).run(case)
         return wrong | {name: a for name, a in outputs_of.items() if name.startswith("out.")}
 
     return answer
@@ -199,28 +200,16 @@ def test_two_mistakes_one_in_each_direction():
 
 def test_a_mistake_in_one_direction_and_a_riddle_in_the_other_are_a_hint():
     def answer(case):
-        got = Patient(by_id("likelihood-nats"), ("out.",)).run(case)
+        got = patient(by_id("likelihood-nats"), ("out.",)).run(case)
         return got | {"in_bar.sigma": 1.7 * got["in_bar.sigma"]}
 
     (row,) = told("likelihood", answer)
     assert row.mistake.id == "likelihood-nats" and row.part == "outputs" and not row.certain
 
 
-class Mostly(Patient):
-    """A port with a known mistake and another error in some cases."""
-
-    def __init__(self, mistake, others):
-        super().__init__(mistake)
-        self.others = others
-
-    def run(self, case):
-        got = super().run(case)
-        return {n: a + 1 for n, a in got.items()} if case.name in self.others else got
-
-
 def test_a_mistake_that_agrees_with_most_failing_cases_is_a_hint():
     """It is given where it agrees, and the report does not say that it explains."""
-    wrong = diagnosis(Mostly(by_id("likelihood-floor"), {"tail"}))
+    wrong = diagnosis(by_id("likelihood-floor"), {"tail"})
     hints = {r.id: r.hint for r in wrong}
     assert not any(r.explanation for r in wrong) and hints.pop("likelihood/tail") == ""
     (hint,) = set(hints.values())
@@ -233,12 +222,12 @@ def test_a_mistake_that_agrees_with_most_failing_cases_is_a_hint():
 
 def test_a_mistake_that_agrees_with_few_failing_cases_is_not_mentioned():
     names = [case.name for case in published.cases("likelihood")]
-    wrong = diagnosis(Mostly(by_id("likelihood-floor"), set(names[: len(names) * 3 // 4])))
+    wrong = diagnosis(by_id("likelihood-floor"), names[: len(names) * 3 // 4])
     assert wrong and not any(r.explanation or r.hint for r in wrong)
 
 
 def test_the_best_hint_comes_first():
-    rows = told("step", lambda case: Mostly(by_id("step-half-slope"), {"ordinary"}).run(case))
+    rows = told("step", patient(by_id("step-half-slope"), others={"ordinary"}).run)
     shares = [len(row.cases) / row.failed for row in rows]
     assert shares == sorted(shares, reverse=True) and shares[0] >= doctor.MIN_HINT_SHARE
 
@@ -248,17 +237,17 @@ def test_a_mistake_that_would_show_in_a_right_case_is_not_mentioned():
 
     def answer(case):
         wrong = case.name == "ordinary"
-        return Patient(by_id("likelihood-nats")).run(case) if wrong else {}
+        return patient(by_id("likelihood-nats")).run(case) if wrong else {}
 
     assert told("likelihood", answer) == []
 
 
 def test_what_the_equation_explains_is_offered_to_its_scalars_and_says_from_where():
-    class Port(Patient):
-        def run(self, case):
-            return super().run(case) if case.level == "L1" else {"out.bits": np.float64(1.0)}
+    def change(case, got):
+        return got if case.level == "L1" else {"out.bits": np.float64(1.0)}
 
-    report = checker.check_port(Port(by_id("likelihood-nats")), ["L0", "L1"], "likelihood")
+    port = Port(patient(by_id("likelihood-nats")).compute, change=change)
+    report = checker.check_port(port, ["L0", "L1"], "likelihood")
     explanations = {r.id.split("/")[0]: r.explanation for r in report.results if r.findings}
     assert explanations.pop("likelihood").endswith("[likelihood-nats]")
     (of_scalars,) = set(explanations.values())
