@@ -35,6 +35,12 @@ def bounded(size):
     )
 
 
+def content(file):
+    """Return the bytes of a file that is small enough to be read."""
+    bounded(file.stat().st_size)
+    return file.read_bytes()
+
+
 class FolderPort:
     """The answers that a port wrote: `<subject>.safetensors` or `<subject>.npz`.
 
@@ -94,8 +100,7 @@ class FolderPort:
                 with np.load(file, allow_pickle=False) as arrays:
                     bounded(sum(entry.file_size for entry in arrays.zip.infolist()))
                     return dict(arrays), file
-            bounded(file.stat().st_size)
-            return safetensors.load(file.read_bytes()), file
+            return safetensors.load(content(file)), file
         except Exception as error:  # NumPy raises whatever its zip, header and type parsers raise
             raise PortError("damaged", f"{file}: {error}") from None
 
@@ -105,10 +110,7 @@ class FolderPort:
         Raises PortError.
         """
         file = self.folder / "codec" / "refusals.json"
-        reasons = {}
-        if file.is_file():
-            bounded(file.stat().st_size)
-            reasons = safetensors.json_object(file.read_bytes())
+        reasons = safetensors.json_object(content(file)) if file.is_file() else {}
         if reasons is None or not isinstance(reasons.get(name), str | None):
             raise PortError(
                 "damaged",
