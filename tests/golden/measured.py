@@ -103,17 +103,17 @@ def tolerances(error, tensors):
     of the tensors has two bounds: eps_S for its worst value, and a quarter of that for the root
     mean square of all errors.
     """
-    measured = error <= LARGEST
-    c = FLOOR
+    measured, c = error <= LARGEST, FLOOR
     if measured:
         c = max(FLOOR, int(2 ** np.ceil(np.log2(max(SAFETY * error, 1)))))
     bounds = {"eps_S": c}
     if any(name.split(".")[1] in IMAGES for name in tensors):
         bounds["rms_eps_S"] = c / 4
     if measured:
-        reason = f"{SAFETY} times the {error:.3g} eps S by which right evaluations miss, "
-        reason += f"at least {FLOOR}, to a power of two"
-        bounds["reason"] = reason
+        bounds["reason"] = (
+            f"{SAFETY} times the {error:.3g} eps S by which right evaluations miss, "
+            f"at least {FLOOR}, to a power of two"
+        )
         return {"float64": bounds, "float32": dict(bounds)}
     return {
         "float64": {**bounds, "reason": f"{FLOOR} eps S: the order of sums is free"},

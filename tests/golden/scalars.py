@@ -211,15 +211,15 @@ def pixel_cases():
     ]
 
 
-def lens_vjp(camera_angle_x, fl_x, fl_y, cx, cy, w, h, downscale):
+def lens_vjp(downscale, **fields):
     """Focal lengths and principal point in pixels, from what a transforms file says (Q20).
 
-    Values that the file does not give are None. cx and cy count from the image's corner, `center`
-    from the centre of its first pixel: c_x = cx / downscale - 1/2.
+    The fields are camera_angle_x, fl_x, fl_y, cx, cy, w and h. Those that the file does not give
+    are None. cx and cy count from the image's corner, `center` from the centre of its first pixel:
+    c_x = cx / downscale - 1/2.
     """
-    angles = dict(camera_angle_x=camera_angle_x, camera_angle_y=None)
-    lens = SimpleNamespace(**angles, fl_x=fl_x, fl_y=fl_y, cx=cx, cy=cy, w=w, h=h)
-    camera = make_camera(np.eye(3), np.zeros(3), lens, w, h, downscale)
+    lens = SimpleNamespace(**fields, camera_angle_y=None)
+    camera = make_camera(np.eye(3), np.zeros(3), lens, lens.w, lens.h, downscale)
     outputs = {
         "focal": np.array([camera.f_x, camera.f_y]),
         "center": np.array([camera.c_x, camera.c_y]),
