@@ -35,16 +35,6 @@ class Mistake(NamedTuple):
         return self.room or subjects()[self.subject].equation
 
 
-def quiet(run):
-    """Return `run` without warnings: mistakes divide by zero and overflow."""
-
-    def silently(inputs, cotangents):
-        with np.errstate(all="ignore"):
-            return run(inputs, cotangents)
-
-    return silently
-
-
 def bars_of(cotangents):
     """Return {"x": a} of {"x_bar": a}."""
     return {name.removesuffix("_bar"): bar for name, bar in cotangents.items()}
@@ -69,7 +59,7 @@ def port(key, inputs=None, inputs_bar=None, outputs=None, outputs_bar=None):
         in_bar = pullback(**{name + "_bar": bar for name, bar in bars.items()})
         return shown, changed(inputs_bar, in_bar, (given,), (in_bar, given))
 
-    return quiet(run)
+    return run
 
 
 def changed(change, tree, others, whole):
@@ -94,9 +84,9 @@ def known(subject, id, description, **changes):
     return Mistake(id, subject, description, port(subject, **changes))
 
 
-def surgery(subject, id, description, run):
+def surgery(subject, id, description, run, room=""):
     """Return a mistake whose function is written out."""
-    return Mistake(id, subject, description, quiet(run))
+    return Mistake(id, subject, description, run, room=room)
 
 
 def edited(subject, id, description, changes, helper=None):
@@ -108,7 +98,7 @@ def edited(subject, id, description, changes, helper=None):
         outputs, pullback = wrong().vjp(**given)
         return outputs, pullback(**cotangents)
 
-    return Mistake(id, subject, description, quiet(run))
+    return Mistake(id, subject, description, run)
 
 
 # --- transformations that recur -----------------------------------------------------------------

@@ -128,7 +128,7 @@ def of_training(subject, id, description, room, owner, name, wrong):
         with patch.object(owner, name, wrong):
             return subjects()[subject].vjp(**given)[0], {}
 
-    return surgery(subject, id, description, run)._replace(room=room)
+    return surgery(subject, id, description, run, room)
 
 
 MISTAKES = [
@@ -155,7 +155,8 @@ MISTAKES = [
         "trace-gradient-through-grid",
         "a gradient flows through the weights of the hash grid into x_a: x_a is not detached there",
         through_the_grid,
-    )._replace(room="hash_grid"),
+        "hash_grid",
+    ),
     of_training(
         "training",
         "training-moments-not-reset",
