@@ -96,7 +96,7 @@ TYPICAL_MISTAKES = {
     "19.1": ((2400, "the box is missing"),),
     "21.1": (([567, 629], "slot 9 is read as A's where A has only slots 0 to 8"),),
     "25.1": ((768, "the biases are missing"),),
-    "29.2": ((3393264, "this product is beyond 2^53, but even"),),
+    "29.2": ((3393264, "3393264 times the prime is beyond 2^53, but even, so a double holds it"),),
 }
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 HINTS_GIVEN = {}  # exercise -> how many hints were asked for
@@ -263,7 +263,7 @@ def caught(mistaken, key, *says, vjp=None):
     """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
     first = check(mistaken, key, vjp).first
     assert first, f"{key}: the mistake is not noticed"
-    message = f"{first.id} fails: {first.explanation or first.hint}"
+    message = f"{first.id} fails: {first.explanation or first.hint or first.findings[0].message}"
     print(message)
     assert all(words in message for words in says), message
 
@@ -283,7 +283,7 @@ def check_number(exercise, mine, want=None, digits=6):
     want = np.asarray(stored("answers")[exercise] if want is None else want)
     try:
         mine = np.asarray(mine, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return settle(exercise, "no answer yet" if mine is ... else "expected a number")
     if mine.shape != want.shape:
         shapes = f"{list(mine.shape)}, expected {list(want.shape)}"
@@ -428,7 +428,8 @@ def difference(mine, right, example=""):
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
     wrong = ~np.isclose(mine, right, rounding, 0)
     lost = np.argwhere(np.isfinite(right) & ~np.isfinite(mine))[:1].tolist()
-    factor = np.vdot(right, mine) / np.vdot(right, right)
+    exact = right.astype(float)  # sums of squares of small integers would overflow
+    factor = np.vdot(exact, mine) / np.vdot(exact, exact)
     telling = [
         (known, unit)
         for known, unit in TELLING_FACTORS.items()
@@ -446,6 +447,7 @@ def difference(mine, right, example=""):
             f"it is wrong: its sign is {'right' if factor > 0 else 'wrong'}, its magnitude too "
             f"{'large' if abs(factor) > 1 else 'small'}",
         ),
+        (right.size == 1, "it is wrong"),
         (
             np.isclose(mine, factor * right, rounding, 0).all(),
             f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",

@@ -1,5 +1,7 @@
 """What the tutorials share: checks of gradients, and exercises that check themselves."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,7 @@ def test_numbers(mine, message, capsys):
         (8, "it is wrong: its sign is right, its magnitude too large"),
         (-6, "it is wrong: its sign is wrong, its magnitude too small"),
         (float("nan"), "not solved: it is nan\n"),
+        (10**400, "not solved: expected a number\n"),
     ],
 )
 def test_short_answers_are_stored_and_not_given_away(mine, message, capsys):
@@ -77,7 +80,11 @@ def test_short_answers_are_stored_and_not_given_away(mine, message, capsys):
         ("19.1", 2400, "not solved: the box is missing\n"),
         ("21.1", [567, 629], "not solved: slot 9 is read as A's where A has only slots 0 to 8\n"),
         ("29.1", 6, "it is 2 times the right number"),
-        ("29.2", 3393264, "not solved: this product is beyond 2^53, but even\n"),
+        (
+            "29.2",
+            3393264,
+            "not solved: 3393264 times the prime is beyond 2^53, but even, so a double holds it\n",
+        ),
         ("29.2", 3393266, "its sign is right, its magnitude too large\n"),
     ],
 )
@@ -208,3 +215,14 @@ def test_feedback_on_integers(capsys):
     lessons.check_forward("07.2", floored, "rounding")
     message = capsys.readouterr().out
     assert "the output symbols: " in message and " numbers are wrong\n" in message
+
+
+def test_a_number_that_should_be_zero_and_integers_of_few_bits():
+    assert lessons.difference(np.array(1.0), np.array(0.0)) == "it is wrong"
+    twice = lessons.difference(np.array([32.0, 32.0]), np.array([16, 16], np.uint8))
+    assert twice == "all 2 numbers are 2 times the right ones"
+
+
+def test_a_mistake_that_is_not_known_is_told_by_its_first_wrong_number(capsys):
+    lessons.caught(lambda x_a, O_a, l_a: x_a[:, None] + 1.2345 * O_a * l_a[:, None], "offsets")
+    assert re.search(r"offsets/ordinary fails: out\.x\S* \S", capsys.readouterr().out)

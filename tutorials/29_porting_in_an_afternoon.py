@@ -207,7 +207,7 @@ lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
 # %%
 answer_1 = answer_2 = ...
 lessons.check_number("29.1", answer_1)
-lessons.check_number("29.2", answer_2, digits=15)
+lessons.check_number("29.2", answer_2)
 
 # %% [markdown]
 # ## Check your port

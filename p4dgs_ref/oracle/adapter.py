@@ -240,7 +240,7 @@ class Child:
     def exchange(self, request, seconds):
         """Send a line and return the next line that the process writes.
 
-        Where it wrote more than one line before, that is one of those, however late it comes.
+        If the process wrote extra lines earlier, that is the oldest one which was not read.
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
         deadline, unsent = time.monotonic() + seconds, memoryview(request)

@@ -1,4 +1,4 @@
-"""Names what is to blame where steps of a training diverge: the part with the first wrong number.
+"""Names the part of a training that is to blame where steps diverge: the first with a wrong number.
 
 A step computes its losses, their gradients and the step of Adam. Every `grow_every` steps density
 control follows, and stage 4 begins by putting the positions on their lattice. The cases of `trace`

@@ -89,7 +89,7 @@ def error_of(image, truth):
 
 
 def literal(text):
-    """The text as matplotlib shows it as it is; between two `$` would be mathematics."""
+    """Escape `$`, because matplotlib takes what stands between two of them for mathematics."""
     return text.replace("$", r"\$")
 
 

@@ -162,6 +162,7 @@ def designs(scene, preset, seed, path, stream, jobs):
     paper = (scene, paper_preset(preset), seed, paper_path)
     if jobs == 1:
         return one_design(*ours, stream), one_design(*paper, stream)[0]
+    done = None
     try:
         with processes(1) as start:
             waiting = start(one_design, *paper)
@@ -169,7 +170,7 @@ def designs(scene, preset, seed, path, stream, jobs):
             return done, waiting()[0]
     except ChildProcessError as error:
         warn(f"{error}; this process trains the paper's design again")
-        return done, one_design(*paper, stream)[0]
+        return done or one_design(*ours, stream), one_design(*paper, stream)[0]
 
 
 def main_job(

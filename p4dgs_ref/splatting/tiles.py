@@ -30,7 +30,7 @@ def bin_splats(
 
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
-    occlusion the Gaussians of a tile stand in the order of their index. Raises ValueError where
+    occlusion the Gaussians of a tile stand in the order of their index. Raises TooManyPairs where
     there are more than MAX_PAIRS, before they take memory.
     """
     side = settings.tile

@@ -109,7 +109,7 @@ def empty_pictures(scene):
 def odd_points(scene, preset, seed, points):
     """What to say where points that anchors start from merge, are not seen, or lie far off."""
     points = scene.points if points is None else points
-    # A training with this seed draws the same.
+    # The training draws the same points from this seed.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
     depth = np.zeros(len(points))  # the largest one at which a picture has the point
     for view in scene.train:

@@ -94,7 +94,7 @@ def row_of(key, files, source, says, is_whole, seed):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
 
     In the row, `says` is the reason why points are missing. `flags` are copies; with any of them
-    there are no points. `unusual` are names that no equation needs, which cost none.
+    there are no points. `unusual` are names that no equation needs; they cost no points.
     """
     row = {
         "number": EQUATIONS[key].number,

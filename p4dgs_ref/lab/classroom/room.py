@@ -41,7 +41,7 @@ OTHER_MODULES = {"hash_grid": ("grid_nodes",)}
 
 
 class ClassroomError(ValueError):
-    """A folder or a file is not one of a classroom, or the key is not one of an equation."""
+    """A folder or a file does not belong to a classroom, or a key to an equation."""
 
 
 def hand_out(folder, only=None):
@@ -105,8 +105,8 @@ def keys_of(folder):
 def text_of(path):
     """Return the text of a student's file, with or without a byte order mark.
 
-    Raises ClassroomError for a pipe, a device, a link to one, or a file that is too large, OSError
-    and UnicodeDecodeError.
+    Raises ClassroomError for a pipe, a device, a link to one, or a file that is too large, and
+    OSError or UnicodeDecodeError where it cannot be read.
     """
     if path.exists() and not (path.is_file() and path.stat().st_size <= MAX_STUDENT_BYTES):
         raise ClassroomError(f"expected a regular file of at most {MAX_STUDENT_BYTES:,} bytes")
@@ -214,8 +214,9 @@ has too few digits in float64 loses most of the hard cases.
   on what the reference's forward saves, so keep the line that unpacks `saved` until your forward
   works. The exceptions are `hash_grid`, `step` and `likelihood`, whose forwards save the slopes
   themselves.
-- Functions receive float64 and must return arrays of float64; lists or float32 are named and get
-  no points. Printed text is ignored, and functions that run for too long are stopped.
+- Functions receive float64 and must return NumPy arrays of float64, or of integers where the
+  equation says so. A list or an array of another type is named and gets no points. Printed
+  text is ignored, and functions that run for too long are stopped.
 - Names that no equation needs, such as `open`, `exec` or `sys`, are listed for your teacher. That
   takes no points away.
 - A file with a copy of the package's functions gets no points. Copies are recognised whatever their
@@ -277,8 +278,9 @@ This keeps honest students honest. It does not stop a student who is determined 
 - A copy of which more was changed is not noticed, and neither is one of a short equation without
   its comments, or with other names.
 - A file can open the installed package as a text and run it, undo the lock on imports, start a
-  process of its own or look into the memory of the one that it runs in. It gets full points then;
-  the column *unusual* and a look at the file show it.
+  process of its own or look into the memory of the one that it runs in. It then gets full
+  points. The column *unusual* shows the plain forms of this; a name that is put together while the
+  file runs shows only when you read the file.
 - Solutions of the tutorials, ports on the web, answers of earlier years and those of language
   models are not compared.
 

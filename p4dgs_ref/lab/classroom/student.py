@@ -39,8 +39,11 @@ ALIKE = 0.8  # of a function's text; where tutorials and tests compute the same,
 MIN_CHARACTERS = 200  # of such functions in an equation; names count as one
 MIN_EQUATIONS = 3  # without a comment, whose lines are the same by more than chance
 UNUSUAL = {
-    *("__builtins__", "__import__", "_getframe", "builtins", "compile", "ctypes", "eval", "exec"),
-    *("gc", "globals", "importlib", "inspect", "io", "open", "os", "pathlib", "subprocess", "sys"),
+    *("__builtins__", "__globals__", "__import__", "__subclasses__", "__traceback__", "_getframe"),
+    *("builtins", "compile", "ctypes", "eval", "exec", "f_back", "f_globals", "f_locals"),
+    *("fromfile", "gc", "globals", "importlib", "inspect", "io", "linecache", "loadtxt", "memmap"),
+    *("multiprocessing", "open", "os", "pathlib", "pickle", "posix", "runpy", "subprocess", "sys"),
+    *("tb_frame", "threading", "traceback", "vars"),
 }
 CASE_SECONDS = 5
 ALL_SECONDS = 30  # for all cases of an equation; the cases after that are not asked
@@ -137,7 +140,7 @@ def functions(source):
 
 
 def unusual(source):
-    """Return the names in a file that no equation needs, from which it may reach the answers."""
+    """Return the names in a file that no equation needs and that could reach the answers."""
     fields = (value for node in ast.walk(ast.parse(source)) for _, value in ast.iter_fields(node))
     words = {word for value in fields if isinstance(value, str) for word in value.split(".")}
     return sorted(words & UNUSUAL)
@@ -232,7 +235,7 @@ def executed(path, eq):
 
 
 def end_after(parent):
-    """End this process when its parent has ended, which leaves a file that hangs to nobody."""
+    """End this process when its parent has ended; a file that hangs would go on for ever."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

@@ -400,6 +400,8 @@ def test_short_equations_are_alike_by_chance_and_the_teacher_knows_them():
 def test_names_that_no_equation_needs_are_listed():
     source = "import os.path as p, numpy as np\nexec(open('course/key/mlp.py').read(), {'gc': p})"
     assert student.unusual(source) == ["exec", "gc", "open", "os"]
+    frames = "try:\n    1 / 0\nexcept ZeroDivisionError as e:\n    e.__traceback__.tb_frame.f_back"
+    assert student.unusual(frames) == ["__traceback__", "f_back", "tb_frame"]
     assert [key for key in KEYS if student.unusual(source_of(key))] == []
 
 
