@@ -22,7 +22,6 @@ high = z + w/2, in sigmas from the mean.
 import numpy as np
 from scipy.special import erfcx, ndtr
 
-LEAST = np.finfo(np.float64).tiny  # of sigma, q and q / sigma: slopes of smaller ones overflow
 NARROW = 1 / 16  # of max(w, z w): a difference loses 4 bits at most, the series ends at 3e-16
 FAR = 2.0  # of low: from here on, scaled tails have more digits than ndtr
 PIECE = 2**14  # values at a time, so that intermediate results stay in the cache (time only)
@@ -47,11 +46,9 @@ def forward(
 
     Accurate for |f_noisy - mu| <= 1000 sigma and 1e-12 <= q / sigma <= 1e6; smooth everywhere,
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
-    ValueError where sigma, q or q / sigma is not from LEAST to 1 / LEAST.
+    ValueError where sigma, q or q / sigma is so small or so large that slopes overflow.
     """
-    check_normal("sigma", sigma)
-    check_normal("q", q)
-    check_normal("q / sigma", np.divide(q, sigma, dtype=np.float64))
+    check_ranges(sigma, q, f_noisy.dtype)
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
     inputs = [a.reshape(-1) for a in (f_noisy, mu, sigma, q)]
     for start in range(0, f_noisy.size, PIECE):
@@ -150,11 +147,13 @@ def phi(v):
     return PHI_0 * np.exp(-0.5 * v**2)
 
 
-def check_normal(name, a):
-    """Raise ValueError for the first entry that is not from LEAST to 1 / LEAST; NaN passes."""
-    if a.min(initial=1) < LEAST or a.max(initial=1) > 1 / LEAST:
-        a = a.astype(np.float64)
-        index = np.argwhere((a < LEAST) | (a > 1 / LEAST))[0].tolist()
-        raise ValueError(
-            f"{name}{index} is {a[tuple(index)]}: expected {LEAST:.3g} to {1 / LEAST:.3g}"
-        )
+@np.errstate(all="ignore")
+def check_ranges(sigma, q, dtype):
+    """Raise ValueError for the first entry with which slopes overflow in dtype; NaN passes."""
+    least = np.finfo(dtype).tiny
+    ratio = np.divide(q, sigma, dtype=np.float64)
+    for name, a in (("sigma", sigma), ("q", q), ("q / sigma", ratio)):
+        if a.min(initial=1) < least or a.max(initial=1) > 1 / least:
+            index = tuple(np.argwhere((a < least) | (a > 1 / least))[0].tolist())
+            place = f"{name}{list(index)} is {a[index]:.3g}"
+            raise ValueError(f"{place}: expected {least:.3g} to {1 / least:.3g}")

@@ -81,6 +81,15 @@ def test_slopes_are_finite_or_the_ratio_is_refused(sigma, q):
             likelihood.forward(*inputs)
 
 
+@BOTH
+@pytest.mark.parametrize("factors", [(0.1, 1), (1, 0.1)])
+def test_slopes_that_a_precision_cannot_hold_are_refused(factors, dtype):
+    """Factors of the smallest number with all digits, for sigma and q."""
+    sigma, q = (np.full((1, 1), np.finfo(dtype).tiny * factor, dtype) for factor in factors)
+    with pytest.raises(ValueError, match=r"\[0, 0\] is "):
+        likelihood.forward(0 * q, 0 * q, sigma, q)
+
+
 # --- Eq. (9) -------------------------------------------------------------------------------------
 
 

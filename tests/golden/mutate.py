@@ -28,7 +28,7 @@ HELPERS = {
 }
 NOT_COMPUTED = {"literal"}  # the printed formula of Eq. (11), which nothing calls
 # Names that decide only which inputs are refused, and how much is computed at once.
-REFUSALS = {"LIMIT", "LEAST", "wrong", "check_normal"}
+REFUSALS = {"LIMIT", "wrong", "check_ranges"}
 PORTIONS = {"BLOCK", "PIECE", "size"}
 PLAIN_KEYWORDS = {"dtype", "copy", "strict", "order"}  # of calls; they are no mathematics
 

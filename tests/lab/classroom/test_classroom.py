@@ -33,7 +33,7 @@ COMPLETE = {
     "view": {"nonzero"},
     "positional_encoding": {"powers_of_two"},
     "rounding": {"backward"},
-    "likelihood": {"check_normal", "phi"},
+    "likelihood": {"check_ranges", "phi"},
     "prior": {"layout"},
     "covariance": {"axes_backward", "rotation_backward", "axes"},
     "projection": {"halved", "cross", "symmetric"},
