@@ -23,6 +23,7 @@ from ..training.fit import CHECKPOINT, GO_ON, doubts
 from ..training.presets import differences, rows_of
 from . import UsageError, caution, progress, require, say, show, tell, text
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".apng", ".mp4")  # no names of folders
 HELD = ("azimuth", "elevation", "distance", "size", "frames")  # options about a held camera
 
 
@@ -208,7 +209,9 @@ def render(arguments):
         " ".join(f"--{name}" for name in given),
         "expected without --scene, whose cameras and times are drawn",
     )
-    is_gif = output.suffix.lower() == ".gif"
+    suffix = output.suffix.lower()
+    require(suffix not in PICTURES, output, "expected a folder, or a name that ends in .gif")
+    is_gif = suffix == ".gif"
     require(
         is_gif or not any(output.glob("[!.]*")),
         output,

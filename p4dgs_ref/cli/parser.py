@@ -49,7 +49,7 @@ def bounded(kind, low, high=1e18):
 def given(text):
     """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
     if not text:
-        raise argparse.ArgumentTypeError("expected a name, got ''")
+        raise argparse.ArgumentTypeError("expected a text, got ''")
     return text
 
 

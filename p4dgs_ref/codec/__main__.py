@@ -58,7 +58,7 @@ def print_page(room, page):
     if sys.flags.optimize > 1:
         sys.stderr.write(f"{room}: the page consists of docstrings; expected Python without -OO\n")
         sys.exit(2)
-    sys.stdout.write(page())
+    print(page(), end="")
 
 
 if __name__ == "__main__":

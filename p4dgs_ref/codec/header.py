@@ -60,6 +60,7 @@ from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
 AXES = ("xyz", "xy", "xz", "yz")
+MAX_DIGITS = 100  # of an integer that is read as one; every limit has fewer
 
 
 def write_header(model):
@@ -92,7 +93,7 @@ def read_object(data):
         len(data) <= MAX_HEADER_BYTES, f"{len(data)} bytes, expected at most {MAX_HEADER_BYTES}"
     )
     try:
-        pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple)
+        pairs = json.loads(str(data, "ascii"), object_pairs_hook=tuple, parse_int=whole_number)
     except (ValueError, RecursionError):
         pairs = []
     whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
@@ -164,11 +165,16 @@ def integer(most):
     )
 
 
+def whole_number(digits):
+    """The integer of a JSON text, or the nearest double where it is beyond every field."""
+    return int(digits) if len(digits) < MAX_DIGITS else float(digits)
+
+
 def real(least, most):
     """The reader of a number whose nearest double is in a range."""
-    return field(  # false for NaN; float(10**400) is an error, float of its digits is infinite
-        lambda value: type(value) in (int, float) and least <= float(str(value)) <= most,
-        f"numbers from {least:g} to {most:g}",
+    return field(  # false for NaN
+        lambda value: type(value) in (int, float) and least <= float(value) <= most,
+        f"a number from {least:g} to {most:g}",
         float,
     )
 

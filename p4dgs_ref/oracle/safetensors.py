@@ -63,7 +63,7 @@ def record_of(array):
 
 def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
-    length = int.from_bytes(data[:8], "little")
+    length = int.from_bytes(data[:8], "little") if len(data) >= 8 else 0
     require(
         length <= MAX_ANSWER_HEADER_BYTES,
         "header",

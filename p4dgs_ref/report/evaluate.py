@@ -52,12 +52,11 @@ def evaluate(
     views = getattr(scene, split)
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
-    differ = np.abs(model.background - scene.background).max() > 1 / 255
-    if differ and any(view.alpha is not None for view in views):
+    if np.abs(model.background - scene.background).max() > 1 / 255:
+        theirs, ours = ("{:.3g} {:.3g} {:.3g}".format(*of.background) for of in (model, scene))
         warn(
-            f"the file has the background {np.round(model.background, 3)}, scene {scene.name} "
-            f"{np.round(scene.background, 3)}; expected equal ones, by load_scene(..., "
-            "background=...) or the effect `background` in scene.json"
+            f"the file has the background {theirs}, scene {scene.name} {ours}; expected equal "
+            "ones, by load_scene(..., background=...) or the effect `background` in scene.json"
         )
     images, seconds = map(
         list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))

@@ -104,8 +104,8 @@ def processes(jobs):
             "a worker process ran the script, which starts workers itself; expected its calls "
             'below `if __name__ == "__main__":`, or jobs=1'
             if is_unguarded
-            else "a worker process was killed, probably because memory ran out; --jobs 1, or "
-            "jobs=1, needs least"
+            else "a worker process was killed, probably because memory ran out; --jobs 1 (jobs=1) "
+            "needs the least"
         ) from None
     finally:
         for process in set(multiprocessing.active_children()) - others:
@@ -168,9 +168,11 @@ def designs(scene, preset, seed, path, stream, jobs):
             waiting = start(one_design, *paper)
             done = one_design(*ours, stream)
             return done, waiting()[0]
-    except ChildProcessError as error:
-        warn(f"{error}; this process trains the paper's design again")
-        return done or one_design(*ours, stream), one_design(*paper, stream)[0]
+    except (ChildProcessError, MemoryError) as error:
+        if done is None:
+            raise
+        warn(f"{error or 'out of memory'}; this process trains the paper's design again")
+        return done, one_design(*paper, stream)[0]
 
 
 def main_job(
@@ -196,11 +198,11 @@ def main_job(
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
-    for file in (f"{name}.p4dgs", f"{name}_paper_design.p4dgs", "metrics.json"):
-        absent(Path(folder) / file)
-    for sentence in doubts(scene, preset, seed):
-        warn(sentence)
     with filled(folder) as staging:
+        for file in (f"{name}.p4dgs", f"{name}_paper_design.p4dgs", "metrics.json"):
+            absent(Path(folder) / file)
+        for sentence in doubts(scene, preset, seed):
+            warn(sentence)
         (ours, rows, images, model, history), paper = designs(
             scene, preset, seed, staging / f"{name}.p4dgs", stream, jobs
         )

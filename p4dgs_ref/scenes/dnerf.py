@@ -65,12 +65,16 @@ LENS = {
     **optional("w h", numbers, low=1, high=MAX_LENS),
     **optional("camera_model", choice, table=dict(zip(PINHOLES, PINHOLES))),
     **optional(
-        "k1 k2 k3 k4 k5 k6 p1 p2 distortion_params is_fisheye fisheye_crop_radius "
+        "k1 k2 k3 k4 k5 k6 p1 p2 distortion distortion_params skew is_fisheye fisheye_crop_radius "
         "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
         off,
         expected="0 or no such field; undistort the pictures of such a lens first",
     ),
-    **optional("x_fov y_fov", off, expected="camera_angle_x in radians, or fl_x in pixels"),
+    **optional(
+        "x_fov y_fov fov horizontal_fov vertical_fov intrinsic_matrix intrinsics K",
+        off,
+        expected="camera_angle_x in radians, or fl_x, fl_y, cx and cy in pixels",
+    ),
     **optional("rolling_shutter", off, expected="pictures that were taken at one moment"),
 }
 FRAME = {
@@ -83,7 +87,6 @@ FRAME = {
         off,
         expected="one transform_matrix, of a picture that was taken at one moment",
     ),
-    **optional("intrinsic_matrix", off, expected="fl_x, fl_y, cx and cy"),
     **optional("mask_path", off, expected="pictures with alpha, without a mask beside them"),
 }
 TRANSFORMS = {
@@ -171,6 +174,13 @@ def check_lens(lens, width, height, file):
     )
     for axis, side in (("x", w), ("y", h)):
         focal, angle = getattr(lens, f"fl_{axis}"), getattr(lens, f"camera_angle_{axis}")
+        middle = getattr(lens, f"c{axis}")
+        require(
+            middle is None or 0 < middle < side,
+            f"{file}: c{axis}",
+            f"{middle}; expected a place inside pictures of {side:g} pixels (w and h say the size "
+            "that cx and cy are for)",
+        )
         found = 2 * math.atan(side / 2 / focal) if focal else angle or 0.0
         require(
             not angle or abs(found - angle) <= 0.01 * angle,

@@ -214,7 +214,7 @@ def read_points3d_text(path):
     rows = np.loadtxt(path, usecols=range(8), ndmin=2, encoding="utf-8-sig")
     counted, colors = rows[:, [0, 4, 5, 6]], rows[:, 4:7]
     require(
-        np.all(counted % 1 == 0) and np.all(colors <= 255),
+        np.all(counted % 1 == 0) and np.all(counted >= 0) and np.all(colors <= 255),
         path,
         "expected lines of POINT3D_ID X Y Z R G B ERROR TRACK[], as COLMAP writes them",
     )

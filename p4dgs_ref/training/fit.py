@@ -91,18 +91,19 @@ def few_views(scene):
 
 
 def empty_pictures(scene):
-    """What to say where pictures show one colour, or the same as that of a camera elsewhere."""
+    """What to say where pictures are blank, or the same as that of a camera elsewhere."""
     views, first = [*scene.train, *scene.test], {}
     others = [first.setdefault(view.image.tobytes(), view) for view in views]
     empty = sum(
-        np.ptp(a.image, axis=(0, 1)).max() == 0 or np.any(a.camera.center != b.camera.center)
+        np.ptp(a.image, axis=(0, 1)).max() <= FOREGROUND_THRESHOLD
+        or np.any(a.camera.center != b.camera.center)
         for a, b in zip(views, others)
     )
     if not empty:
         return ""
     return (
-        f"scene {scene.name}: {empty} of {len(views)} pictures show one colour alone, or the same "
-        "as that of a camera elsewhere; good figures on these mean nothing"
+        f"scene {scene.name}: {empty} of {len(views)} pictures show hardly more than one colour, "
+        "or the same as that of a camera elsewhere; good figures on these mean nothing"
     )
 
 
@@ -138,7 +139,7 @@ def odd_points(scene, preset, seed, points):
 
 
 def doubts(scene, preset, seed, points=None):
-    """What to say before a training, in one line each; empty where there is nothing to say."""
+    """Three sentences to say before a training, each of them empty where it does not hold."""
     return few_views(scene), empty_pictures(scene), odd_points(scene, preset, seed, points)
 
 
@@ -164,14 +165,15 @@ def lost(trainer, remedy=""):
         pixels.append([image[moves] for image in (drawn, mean, v.image)])
         size += moves.size
     drawn, mean, truth = map(np.concatenate, zip(*pixels))
-    if not len(truth) or psnr(drawn, truth) >= psnr(mean, truth) + MIN_GAIN:
+    of_mean = psnr(mean, truth) if len(truth) else np.inf  # infinite: nothing moves
+    if np.isinf(of_mean) or psnr(drawn, truth) >= of_mean + MIN_GAIN:
         return ""
     return (
         f"scene {scene.name}: "
         f"{'what moves is lost' if fx.moves(scene.effects) else 'the result is useless'}: where "
         f"{'test' if scene.test else 'training'} views differ from the model at rest "
         f"({len(truth) / size:.1%} of the pixels), it has {psnr(drawn, truth):.2f} dB, the mean of "
-        f"the training pictures {psnr(mean, truth):.2f} dB; try "
+        f"the training pictures {of_mean:.2f} dB; try "
         + (remedy or "another seed, more iterations (stage_ends), more views or larger bodies")
     )
 

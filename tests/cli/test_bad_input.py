@@ -330,6 +330,7 @@ LINES = [
     ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
     ("render good.p4dgs -o scene/still.gif --scene scene", ("still.gif: this is the input",)),
     ("render good.p4dgs -o folder.gif --frames 1", ("folder.gif: ", "found a folder")),
+    ("render good.p4dgs -o still.png --frames 1", ("still.png: ", "ends in .gif")),
     ("render scene.ply -o new", ("scene.ply: ", "expected a .p4dgs file, or a .ply")),
     (
         "export-ply good.p4dgs --camera 0",

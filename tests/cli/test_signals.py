@@ -139,7 +139,8 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
 
 
 KILLED = (
-    "a worker process was killed, probably because memory ran out; --jobs 1, or jobs=1, needs least"
+    "a worker process was killed, probably because memory ran out; --jobs 1 (jobs=1) needs the "
+    "least"
 )
 
 

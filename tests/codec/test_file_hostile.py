@@ -236,7 +236,7 @@ def test_invalid_grids_backgrounds_boxes_and_anchors_are_named(model):
     none = type(model.anchors)(*(array[:0] for array in model.anchors))
     for change, message in (
         (dict(grids=grids), "hash grid level 1: expected finite"),
-        (dict(background=np.array([0.1, np.nan, 0.2])), "field 'background': expected numbers"),
+        (dict(background=np.array([0.1, np.nan, 0.2])), "field 'background': expected a number"),
         (dict(box=(hi, lo)), "box: expected"),
         (dict(box=(lo, hi * np.inf)), "box: expected"),
         (dict(box=(lo, np.full(3, 1e39))), "box: expected"),
@@ -267,11 +267,11 @@ def test_huge_symbols_name_the_array(model, name, group):
 @pytest.mark.parametrize(
     "field, value, message",
     [
-        ("tau_alpha", 2.0, "'tau_alpha': expected numbers from 0"),
-        ("tau_alpha", np.nan, "expected numbers from 0"),
+        ("tau_alpha", 2.0, "'tau_alpha': expected a number from 0"),
+        ("tau_alpha", np.nan, "expected a number from 0"),
         ("effects", ("view_color", "wind"), "'effects': expected some of"),
         ("grid", (), "expected a list of 1 to 64"),
-        ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected numbers from"),
+        ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected a number from"),
         ("L_x", 0, "expected a whole number from 1 to 64"),
         ("context", (8,) * 9, "'context': expected a list of 0 to 8"),
     ],

@@ -320,6 +320,8 @@ MISTAKES = [
             ("is_fisheye", True, "True", "undistort"),
             ("camera_model", "OPENCV_FISHEYE", "'OPENCV_FISHEYE'", "PINHOLE", "OPENCV"),
             ("x_fov", 40, "40", "camera_angle_x in radians"),
+            ("skew", 3.0, "3.0", "undistort"),
+            ("cx", 12.5, "12.5", "inside pictures of 12 pixels"),
             ("from_na", True, "True", "OpenGL"),
             ("white_transparent", True, "True", "alpha"),
             ("test_filenames", ["test/r_000.png"], "r_000", "one split"),
