@@ -575,7 +575,8 @@ assert psnr_of(~most) < 15
 # **15.1** ●● In the pixel of "By hand", layer $1$ turns white. Give four numbers: the pixel and,
 # for $g = 1$, the three gradients $\bar\alpha_i$.
 #
-# **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$.
+# **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$. An exponent
+# that rounding makes positive, far along a needle, counts as $0$.
 #
 # **15.3** ●●● Write its backward pass. Rows that are not visible get the gradient zero.
 #

@@ -19,9 +19,9 @@ from tests.sampling import few
 
 SUBJECTS = published.subjects()
 KEYS = [key for key, row in SUBJECTS.items() if row["level"] != "L3"]
-# Known mistakes that show elsewhere than in float32: one is that of such a port, and 0.2 is another
-# number there.
-NOT_FOUND = "rounding-float32", "projection-near-inclusive"
+# Known mistakes that show elsewhere than in float32: one is that of such a port, 0.2 is another
+# number there, and an epsilon of 1e-15 in another place moves no digit that float32 has.
+NOT_FOUND = "rounding-float32", "projection-near-inclusive", "adam-epsilon-after-correction"
 FOUND = [m for m in MISTAKES if m.subject in KEYS and m.id not in NOT_FOUND]
 
 SOME = "projection", "likelihood"

@@ -5,6 +5,8 @@ import re
 import imageio.v3 as iio
 import pytest
 
+from p4dgs_ref import lessons
+from p4dgs_ref.report import figures
 from tests.sampling import few
 from tests.tutorials import drawn
 from tutorials.tools import tour
@@ -19,8 +21,11 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     """Where it fails after a change, `python -m tutorials.tools.syllabus tour` draws anew."""
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
-    shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
-    assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
+    with figures.styled(
+        lessons.STYLE
+    ):  # as the tour is drawn: numbers of colour bars are made then
+        shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
+        assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
     assert set() != set(NUMERAL.findall(text)) <= shown
 
 

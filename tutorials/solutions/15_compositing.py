@@ -32,6 +32,7 @@ lessons.check_number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_ba
 # %% [markdown]
 # **15.2** A stable sort keeps splats of equal depth in the order of their index. The transmittances
 # have one more row than there are splats: the last row is the light that reaches the background.
+# Far along a needle, rounding can make the exponent positive; it counts as 0 then.
 
 
 # %%
@@ -49,7 +50,7 @@ def falloffs(given, order):
     e_y = y - mean_y
     a, b, c = given["conic"][order].T[:, :, None]
     exponent = -0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y
-    return np.exp(exponent), e_x, e_y
+    return np.exp(np.minimum(exponent, 0)), e_x, e_y
 
 
 def transmittances(A, given):
