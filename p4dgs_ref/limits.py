@@ -20,7 +20,8 @@ MAX_OF = {"d": 4096, "k": 256, "L_x": 64, "L_t": 64, "F": 64}  # fields of a Des
 MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
 MAX_SYMBOL = 2**31  # magnitude of a coded number
 MAX_STEPS = 2**15 - 1  # magnitude of a weight that is coded in steps
-MAX_FILE_BYTES, MAX_HEADER_BYTES = 2**29, 2**14  # also of a .ply; of other files with points
+MAX_FILE_BYTES = 2**29  # also of a file of points
+MAX_HEADER_BYTES = 2**14  # also of a .ply
 MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 
 # Answers of a port.

@@ -220,7 +220,8 @@ def render(arguments):
     model, reads = read_model(arguments.file), [arguments.file]
     if arguments.scene:
         scene = p4.load_scene(arguments.scene)
-        views, reads = views_of(scene), [*reads, *scene.source.rglob("*")]
+        views = views_of(scene)
+        reads += scene.source.rglob("*") if is_gif else ()  # a folder of pictures is new anyway
     else:
         times = np.linspace(0, 1, given.pop("frames", 24))
         camera = figures.held_camera(model, **given)

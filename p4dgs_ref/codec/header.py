@@ -18,8 +18,8 @@
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
 All fields are there, none occurs twice, and there is no other. They stand in any order. background,
-Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do; it
-is that double which is in the range. All other numbers are integers, written without point and
+Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do; the
+ranges are those of this double. All other numbers are integers, written without point and
 exponent; a reader that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of
 two equal fields it silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys
 in the text, marks the numbers with a point or an exponent before it parses, and refuses both.
