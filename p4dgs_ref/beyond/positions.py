@@ -80,8 +80,12 @@ def codes_of(positions, box, bits):
 
 
 def write_positions(model, positions):
-    """The section. The positions [A, 3] stand in ascending order of their codes."""
-    box, bits = model.box, model.design.position_bits
+    """The section of a model. The positions [A, 3] stand in ascending order of their codes."""
+    return write_sorted(positions, model.box, model.design.position_bits)
+
+
+def write_sorted(positions, box, bits):
+    """The section of positions [A, 3] in ascending order of their codes."""
     gaps = np.diff(codes_of(positions, box, bits), prepend=0)
     most = bits * len(extended(box))
     choices = range(max(most - MAX_GAMMA, 0), most + 1)
@@ -99,7 +103,12 @@ def read_positions(data, count, design):
 
     Raises BitstreamError for data that `write_positions` does not write.
     """
-    name, start, bits = "positions", BOX_BYTES, design.position_bits
+    return read_sorted(data, count, design.position_bits)
+
+
+def read_sorted(data, count, bits):
+    """The same, from the number of bits of a coordinate."""
+    name, start = "positions", BOX_BYTES
     message = f"expected {start} bytes or more for {count} anchors, found {len(data)}"
     require(len(data) >= start, name, len(data), message)
     box = read_box(data)

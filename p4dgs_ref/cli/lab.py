@@ -18,7 +18,12 @@ def turn_knobs(arguments):
 
     with filled(arguments.output) as staging:
         result = accuracies.run(
-            arguments.only or None, staging, arguments.quick, progress, arguments.jobs
+            arguments.only or None,
+            staging,
+            arguments.output,
+            arguments.quick,
+            progress,
+            arguments.jobs,
         )
     show(arguments, result, accuracies.to_text(result, arguments.output))
 
@@ -72,31 +77,38 @@ def suggest_effects(arguments):
     show(arguments, {"effects": rows}, "\n".join(lines))
 
 
-def make_table(arguments, study, *options):
-    """Make the rows of a study that are missing, after an estimate of the time; show all."""
+def make_rows(arguments, tasks):
+    """Make the rows that are missing, after an estimate of the time."""
     from ..lab.tables import methods
 
+    methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
+
+
+def make_table(arguments, study, *options, is_made=False):
+    """Make the rows of a study that are missing, unless they are all made; show them."""
     with filled(arguments.output) as staging:
         tasks = study.plan(*options, arguments.iterations)
-        methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
+        if not is_made:
+            make_rows(arguments, tasks)
         result = study.collect(tasks, staging)
     show(arguments, result, f"{study.to_text(result)}\nfiles and tables: {arguments.output}")
 
 
 def compare_methods(arguments):
     """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
-    from ..lab.tables import compare, curve
+    from ..lab.tables import compare, curve, methods
 
-    study, seeds = curve if arguments.curve else compare, arguments.seeds or 3
-    require(
-        not arguments.quick or not arguments.seeds and len(arguments.scenes) < 2,
-        "--quick",
-        "expected without --seeds and with at most one scene, because it takes one of each",
-    )
+    for name, is_wanted in (("--point", arguments.point), ("--collect", arguments.collect)):
+        require(arguments.curve or not is_wanted, name, "expected together with --curve")
+    require(not (arguments.point and arguments.collect), "--collect", "expected without --point")
     scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
-    if arguments.quick:
-        scenes, seeds = scenes[:1], 1
-    make_table(arguments, study, scenes, arguments.output, arguments.methods, seeds)
+    options = scenes, arguments.output, arguments.methods, arguments.seeds or 3
+    if not arguments.point:
+        study = curve if arguments.curve else compare
+        return make_table(arguments, study, *options, is_made=arguments.collect)
+    tasks = methods.part_of(curve.plan(*options, arguments.iterations), *arguments.point)
+    make_rows(arguments, tasks)
+    tell(f"{len(tasks)} rows of this part are in {arguments.output}; --collect reads all parts")
 
 
 def ablate_parts(arguments):

@@ -46,6 +46,15 @@ def bounded(kind, low, high=1e18):
     return read
 
 
+def part(text):
+    """Read I/N, the part I of N parts, counted from 0."""
+    with suppress(ValueError):
+        i, n = map(int, text.split("/"))
+        if 0 <= i < n:
+            return i, n
+    raise argparse.ArgumentTypeError(f"expected I/N with 0 <= I < N, got {text!r}")
+
+
 def given(text):
     """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
     if not text:
@@ -317,7 +326,9 @@ GROUPS = {
             (
                 JSON,
                 several("--only", "NAME", "only this knob or harness; may be repeated"),
-                switch("--quick", "small sizes, about a minute instead of ten"),
+                switch(
+                    "--quick", "small sizes and no training, less than a minute instead of hours"
+                ),
                 JOBS,
                 output(
                     "folder of accuracy.md and its figures (report/accuracy)",
@@ -353,7 +364,13 @@ GROUPS = {
                 option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
                 several("--method", "NAME", "ours and this one; may be repeated", dest="methods"),
                 switch("--curve", "every method over its own size: PSNR against bytes, table 4"),
-                switch("--quick", "one scene, one seed"),
+                option(
+                    "--point",
+                    type=part,
+                    metavar="I/N",
+                    help="with --curve: only make part I of N, from 0, of the rows",
+                ),
+                switch("--collect", "with --curve: only read the rows that are there"),
                 *EXPERIMENT,
                 output(
                     "folder to write to; its trainings are kept (report/compare)",
@@ -462,7 +479,7 @@ def parser():
 STOPPED = {
     "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
-        ("compare", "ablate"),
+        ("accuracy", "compare", "ablate"),
         "; the trainings that are done are kept, the same command makes the others",
     ),
     "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "

@@ -83,6 +83,12 @@ def setting(value):
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
+SINGLE = (
+    "  k = 1 switches the paper's first idea off: an anchor predicts a single child instead of "
+    "several neighbouring Gaussians"
+)
+
+
 def presets(shown, every_field):
     """Presets beside the paper's two, each as `preset` shows it."""
     return "\n".join(line for one in shown for line in preset(one, every_field))
@@ -104,5 +110,6 @@ def preset(one, every_field):
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",
+        *([SINGLE] if one.k == 1 else []),
         *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
     ]

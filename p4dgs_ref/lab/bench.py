@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 
 from ..arithmetic import arithmetic
-from ..codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ..codec.rans import pop_rows_plainly, push_rows_plainly
 from ..codec.streams import decode_gaussian, encode_gaussian
 from ..designs import decode, encode
@@ -16,7 +15,7 @@ from ..splatting.settings import EXACT, FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
-from .accuracy.forms import image_and_gradients, message, splat_scene
+from .accuracy.forms import image_and_gradients, in_units, message, splat_scene
 from .clock import alternate, disturbance, stretch_of
 from .writer import text_table
 
@@ -60,8 +59,7 @@ def bench(quick=False):
     """The rows that `python -m p4dgs_ref.lab` prints, and how far the machine was disturbed."""
     n, count, steps = (300, 2000, 20) if quick else (1000, 200_000, 600)
     trainer, splats, (symbols, mu, sigma) = trained(steps), splat_scene(n, 64), message(count)
-    scaled = mu * 2.0**MU_BITS, np.log2(sigma) * 2.0**SIGMA_BITS
-    units = [np.rint(values).astype(np.int64) for values in scaled]
+    units = in_units(mu, sigma)
     model, sent = trainer.model(), (symbols, *units)
     file, coded = encode(model), (encode_gaussian(*sent), *units)
     # A function and its readable twin, if it has one.

@@ -64,9 +64,13 @@ def alternate(functions, repeats, clocked=clocked):
 
 # --- what may be said ----------------------------------------------------------------------------
 def can_tell(row, other, unit="ms"):
-    """Whether two times differ by more than the wider of their ranges between quartiles."""
-    spread = max(r[f"{unit}_high"] - r[f"{unit}_low"] for r in (row, other))
-    return abs(row[unit] - other[unit]) > spread
+    """Whether two times differ: by more than the wider of their ranges from quartile to quartile.
+
+    These ranges must not overlap either.
+    """
+    lows, highs = ([r[f"{unit}_{end}"] for r in (row, other)] for end in ("low", "high"))
+    spread = max(high - low for low, high in zip(lows, highs))
+    return abs(row[unit] - other[unit]) > spread and max(lows) > min(highs)
 
 
 def stretch_of(rows):

@@ -12,16 +12,22 @@ MIN_POINTS = 3  # of a curve
 MIN_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
 
 
+def grouped(rows, *keys):
+    """The rows that agree in some fields, {entries of these fields: rows}, in their order."""
+    groups = {}
+    for row in rows:
+        groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
+    return groups
+
+
 def means(rows, *keys):
     """The means over scenes and seeds of the rows that agree in the keys; one row for each.
 
     `name_spread` is half the range of the means of each seed. Fields that are no numbers, or that
     some row lacks, are left out.
     """
-    groups, result = {}, []
-    for row in rows:
-        groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
-    for values, group in groups.items():
+    result = []
+    for values, group in grouped(rows, *keys).items():
         seeds = sorted({row["seed"] for row in group})
         result.append({**dict(zip(keys, values)), "seeds": len(seeds)})
         for name in group[0]:
@@ -31,6 +37,17 @@ def means(rows, *keys):
                 result[-1][name] = float(np.mean(each))
                 result[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
     return result
+
+
+def points_of(rows):
+    """The means of the points over scenes and seeds, of trainings that are there on every scene."""
+    scenes, there = {row["scene"] for row in rows}, {}
+    keys = ("label", "iterations", "method", "storage")
+    for row in rows:
+        key = (row["seed"], *(row[name] for name in keys))
+        there.setdefault(key, []).append(row)
+    whole = [row for group in there.values() if len(group) == len(scenes) for row in group]
+    return means(whole, *keys)
 
 
 def text_table(columns, rows):
@@ -62,6 +79,12 @@ def seeds_of(rows):
     return f"seeds: {len({row['seed'] for row in rows})}, ± half their range"
 
 
+def twice_standard_error(differences):
+    """Twice the standard error of the mean of some differences; infinite for fewer than two."""
+    count = len(differences)
+    return 2 * np.std(differences, ddof=1) / np.sqrt(count) if count > 1 else np.inf
+
+
 # --- curves ---------------------------------------------------------------------------------------
 def front(points):
     """The points [n, 2] with a higher PSNR than all smaller files, by size."""
@@ -70,16 +93,13 @@ def front(points):
     return points[np.diff(best, prepend=-np.inf) > 0]
 
 
-def envelope(curves):
-    """The front of several curves: the points whose PSNR none of the curves has in fewer bytes."""
-    return front(
-        [
-            (size, psnr)
-            for curve in curves
-            for size, psnr in curve
-            if not any(bytes_at(other, psnr) < (1 - 1e-9) * size for other in curves)
-        ]
-    )
+def best(points):
+    """Of points that are rows, those with a higher PSNR on held-back views than smaller files."""
+    chosen = []
+    for point in sorted(points, key=lambda point: point["bytes"]):
+        if not chosen or point["held_back_db"] > chosen[-1]["held_back_db"]:
+            chosen.append(point)
+    return chosen
 
 
 def bd_rate(points, others):

@@ -350,8 +350,11 @@ LINES = [
     ("accuracy --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("effects scene --suggest -o new", ("-o new", "expected without --suggest")),
-    ("compare --quick --seeds 2 -o new", ("--quick", "without --seeds")),
-    ("compare bouncing orbit --quick -o new", ("--quick", "at most one scene")),
+    ("compare scene --point 0/2 -o new", ("--point", "together with --curve")),
+    ("compare scene --collect -o new", ("--collect", "together with --curve")),
+    ("compare scene --curve --point 0/2 --collect -o new", ("--collect", "without --point")),
+    ("compare scene --curve --point 2/2 -o new", ("--point", "I/N", "2/2")),
+    ("compare scene --curve --collect -o new", ("expected the rows of p4dgs lambda_rate=0.01",)),
     ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
     ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
     ("encode run -o text", ("text: ", "another kind")),
@@ -540,7 +543,7 @@ FULL = {
     "inspect good.p4dgs -o out": "out/sections.png",
     "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
     "view good.p4dgs -o out/x.html": "out/x.html",
-    "compare scene --quick --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
+    "compare scene --seeds 1 --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
 }
 
 

@@ -185,7 +185,10 @@ def test_tables(ok):
     differs = ok("presets tiny --json")["tiny"]["differs"]
     assert {"field": "anchors", "paper": 10000, "here": 200} in differs
     star = ["*", "anchors", "200", "10000", "10000", "Scaffold-GS", "(Q28)"]
-    assert star in [line.split() for line in ok("presets").splitlines()]
+    lines = ok("presets").splitlines()
+    assert star in [line.split() for line in lines]
+    (single,) = [i for i, line in enumerate(lines) if "k = 1 switches" in line]
+    assert lines[single - 1].startswith("small_coded: ")
     same = ["voxel", "0.001", "0.001", "0.01", "paper"]
     assert same in [line.split() for line in ok("presets tiny").splitlines()]
 
@@ -286,7 +289,7 @@ ESTIMATED = {  # iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90_000_000, "stopped; if the run folder has"),
     f"demo bouncing -o run {LONG} --set is_coded=true --jobs 1": (180_000_000, "--resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
-    f"compare scene -o run --curve {WHOLE} --method hexplane": (27 * 90_000_000, "are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (45 * 90_000_000, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
 }
 
@@ -345,7 +348,7 @@ def place(scene, tmp_path, monkeypatch):
 
 
 def test_one_scene_and_seed_by_all_sizes_of_a_method(place, run, refused):
-    line = "compare scene --curve --quick --method d3dgs_small --iterations 4 -o out --json"
+    line = "compare scene --curve --seeds 1 --method d3dgs_small --iterations 4 -o out --json"
     result = json.loads(run(line)[1])
     rows = result["rows"]
     assert {(row["scene"], row["seed"]) for row in rows} == {("scene", 0)}
@@ -353,3 +356,23 @@ def test_one_scene_and_seed_by_all_sizes_of_a_method(place, run, refused):
     (record,) = (place / "out").glob("points_*_4/*_p4dgs_seed0.json")
     record.write_text("{", encoding="utf-8")
     refused(line, (record.name, "JSON"))
+
+
+@pytest.mark.slow
+def test_two_processes_make_one_curve_in_one_folder(place, run):
+    line = "compare scene --curve --method d3dgs_small --seeds 1 --iterations 4 -o out"
+    parts = [
+        start("-m", "p4dgs_ref", *line.split(), "--jobs", "1", "--point", f"{i}/2", cwd=place)
+        for i in (0, 1)
+    ]
+    for process in parts:
+        out, err = process.communicate(timeout=300)
+        assert process.returncode == 0, err
+        assert "--collect reads all parts" in out
+    (folder,) = (place / "out").glob("points_*_4")
+    files = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    collected = json.loads(run(f"{line} --collect --json")[1])
+    assert json.loads(run(f"{line} --json")[1]) == collected  # no row was missing
+    assert files == {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert 2 * len(collected["rows"]) == len(files)
+    assert len((place / "out/curve.csv").read_text(encoding="utf-8").splitlines()) > 60

@@ -61,12 +61,15 @@ LOST = "; nothing is kept, because all files are written at the end"
 SAID = {  # of a command that was stopped
     "train": KEPT,
     "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
-    "compare": "; the trainings that are done are kept, the same command makes the others",
+    **dict.fromkeys(
+        ("accuracy", "compare"),
+        "; the trainings that are done are kept, the same command makes the others",
+    ),
 }
 # Commands, and the file that is there when they are at work.
 LINES = {
     RUN: "run/checkpoint.npz",
-    "compare bouncing --quick -o out": "out/.p4dgs-part-*",
+    "compare bouncing --seeds 1 -o out": "out/.p4dgs-part-*",
     "render {files}/bouncing.p4dgs -o out --frames 10000 --size 64": "out/.p4dgs-part-*/t_002.png",
     "demo bouncing -o out": "out/.p4dgs-part-*",
     "evaluate {files}/bouncing.p4dgs bouncing -o out": "out/.p4dgs-part-*",
@@ -124,7 +127,7 @@ def test_while_a_worker_starts(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-STUDY = "compare bouncing --quick -o out --jobs 2"
+STUDY = "compare bouncing --seeds 1 -o out --jobs 2"
 CODED = "--set is_coded=true --set network_ramp=10 --set lr_step=0.02,0.002"
 DEMO = f"demo bouncing -o out --jobs 2 --quiet --preset smoke {CODED}"
 

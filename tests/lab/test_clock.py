@@ -74,3 +74,9 @@ def test_a_spread_larger_than_the_difference_is_no_reading(machine):
     assert not clock.can_tell(rows["one"], rows["other"])
     rows = columns(machine(), one=0.010, other=0.011)
     assert clock.can_tell(rows["one"], rows["other"])
+
+
+def test_quartiles_that_overlap_tell_nothing():
+    one, other = dict(ms=10, ms_low=7, ms_high=10.1), dict(ms=6.5, ms_low=6.4, ms_high=9.4)
+    assert not clock.can_tell(one, other) and not clock.can_tell(other, one)
+    assert clock.can_tell(one, other | dict(ms_high=6.9))

@@ -1,5 +1,7 @@
-"""The records of decisions beyond the paper run, and their lines keep the form of tutorials."""
+"""The records of decisions and measurements run, and their lines keep the form of tutorials."""
 
+import csv
+import importlib.util
 import os
 import re
 import subprocess
@@ -11,7 +13,7 @@ import pytest
 from tests.tutorials.tutorial_form import flaws
 
 FOLDER = Path(__file__).resolve().parents[2] / "tutorials"
-RECORDS = sorted(FOLDER.glob("beyond_*.py"), key=lambda path: path.name)
+RECORDS = [FOLDER / "beyond_networks.py", FOLDER / "growing_detail.py"]
 
 
 def test_records_have_the_form_of_tutorials():
@@ -32,3 +34,68 @@ def test_the_record_of_networks_runs_and_its_decision_quotes_the_table(tmp_path)
     assert len(prices) == 3  # with nine pairs each
     assert (tmp_path / "beyond_networks.png").stat().st_size > 10_000
     assert all(share in decision and gain in decision for share, gain in prices)
+
+
+@pytest.fixture
+def growing(tmp_path, monkeypatch):
+    """The script of growing detail, with one tiny size and folders of its own."""
+    spec = importlib.util.spec_from_file_location("growing_detail", FOLDER / "growing_detail.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.ITERATIONS, module.FOLDER = 20, tmp_path / "trainings"
+    module.SIZES = {16: (1, ((20, 0), (40, 1)), ((6, 0.0005),), ((12, 0.0005),))}
+    module.RECORD = tmp_path / "growing_detail.csv"
+    monkeypatch.setenv("P4DGS_TUTORIALS_OUT", str(tmp_path))
+    return module
+
+
+def test_growing_detail_is_made_in_parts_collected_and_drawn(growing, tmp_path, capsys):
+    growing.main([])
+    assert "no growing_detail.csv yet" in capsys.readouterr().out
+    for words in (["mak"], ["make", "1/0"]):
+        with pytest.raises(SystemExit, match="expected cost, make, make I/N or collect"):
+            growing.main(words)
+    growing.main(["make", "0/2"])
+    made = [task.record.exists() for task in growing.plan()]
+    assert made == [True] * 3 + [False] * 3 + [True, False]  # trainings with their coded files
+    growing.main(["cost"])
+    assert "detail_16: 2 trainings" in capsys.readouterr().out
+    growing.main(["make", "1/2"])
+    growing.main(["collect"])
+    rows = list(csv.DictReader(growing.RECORD.read_text(encoding="utf-8").splitlines()))
+    assert [row["storage"] for row in rows] == 2 * ["as stored", "coded alike", "coded alike"] + [
+        "as stored"
+    ] * 2
+    assert len({row["sha256"] for row in rows}) == 8
+    growing.main([])
+    shown = capsys.readouterr().out
+    assert re.search(r"^detail_16: (ours needs|no PSNR)", shown, re.M)
+    assert (tmp_path / "growing_detail.png").stat().st_size > 5000
+
+
+def test_growing_detail_counts_numbers_and_says_where_curves_cross(growing, capsys):
+    growing.count()
+    growing.implied()
+    counted = capsys.readouterr().out
+    text = (FOLDER / "growing_detail.py").read_text(encoding="utf-8")
+    for line in ("tiny_coded, a child of 4 8.5 0.25", "small_coded, d 8, a child of 1 17.0 1.00"):
+        assert line in " ".join(counted.split())
+    for name, numbers in (("degree 0", "11.0"), ("degree 1", "20.0"), ("degree 3", "56.0")):
+        assert f"explicit, {name} {numbers} 1.00" in " ".join(counted.split())
+    assert "34 numbers" in text and "8.5 numbers" in text and "17 numbers" in text
+    gaussians = [int(n.replace(",", "")) for n in re.findall(r" (\d{3},\d{3}) ", counted)]
+    assert len(gaussians) == 3 and max(gaussians) < 1.2 * min(gaussians)
+    explicit = [(1000, 28.0), (4000, 32.0)]
+    curves = {growing.EXPLICIT: explicit, growing.CODED: [(2000, 28.0), (2001, 32.0)]}
+    below, above = growing.ranges(curves)
+    assert below[1] == pytest.approx(30, abs=0.02) and not below[3] and above[3]
+    assert growing.verdict([below, above]).startswith("ours needs more bytes from 28.0 to 30.0 dB")
+    assert growing.verdict(growing.ranges({**curves, growing.CODED: [(9, 40.0)]})).startswith("no")
+    rows = [
+        {"method": name, "label": f"{name} {size}", "seed": seed, "bytes": size, "psnr_db": psnr}
+        for seed, scale in enumerate((1.0, 1.1, 1.2))
+        for name, curve in ((growing.EXPLICIT, explicit), (growing.CODED, explicit))
+        for size, psnr in ((s * scale if name == growing.CODED else s, p) for s, p in curve)
+    ]
+    assert growing.by_seed(rows).startswith("explicit bytes over ours, median: 0.91 ±0.10 over 3")
+    assert growing.by_seed(rows[:4]) == "one seed: no standard error"

@@ -13,8 +13,9 @@ from pathlib import Path
 from p4dgs_ref import output
 from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import stability
-from p4dgs_ref.lab.accuracy import diagram, forms, report
-from p4dgs_ref.lab.tables import curve
+from p4dgs_ref.lab.accuracy import answers, diagram, report, verdicts
+from p4dgs_ref.lab.accuracy.knobs import KNOBS
+from p4dgs_ref.lab.tables import curve, hundredfold
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene
 from tutorials.tools import animation, architecture, handout, records, show, tour
@@ -22,6 +23,9 @@ from tutorials.tools.shared import FOLDER, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
+
+# What `p4dgs-ref accuracy` has measured; CONTRIBUTING.md says how it is renewed.
+ACCURACY = FOLDER / "records" / "accuracy.csv"
 
 # One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
 # file that this command or tutorial writes, and the caption.
@@ -31,7 +35,12 @@ PICTURES = {
     "curve.png": Picture(
         "record",
         "curve.png",
-        "PSNR against bytes: ours, and every other method over its own size",
+        "PSNR against bytes: ours, and every other method over its own size, in two storages",
+    ),
+    "hundredfold.png": Picture(
+        "record",
+        "hundredfold.png",
+        "Where the hundredfold comes from: from D3DGS's file to ours, one step at a time",
     ),
     "demo.png": Picture(
         "demo",
@@ -88,10 +97,10 @@ PICTURES = {
         "21_desync.png",
         "An error of one unit in the last place makes the decoder reconstruct another model",
     ),
-    "accuracy_rendering.png": Picture(
-        "accuracy",
-        "cut.png",
-        "Rendering: error against time for different cuts and precisions",
+    "accuracy.png": Picture(
+        "record",
+        "accuracy.png",
+        "What accuracy costs in time, in six answers",
     ),
     "accuracy_likelihood.png": Picture(
         "accuracy",
@@ -112,11 +121,12 @@ PICTURES = {
 
 DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
-    "curve.png": (curve.draw_curves,),
+    "curve.png": (curve.draw_curves, curve.draw_curve),
+    "hundredfold.png": (hundredfold.draw_steps,),
     "demo.png": (figures.write_comparison,),
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
-    "accuracy_rendering.png": (forms.cut, diagram.lines, diagram.place_labels),
+    "accuracy.png": (answers, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability.maps, stability.draw_maps, stability.draw_map),
     DRAWING: (architecture,),
     HANDOUT: (architecture, handout),
@@ -185,9 +195,10 @@ def draw_demo(out):
 
 
 def draw_curve(out):
-    """Draw the record of the curve into the folder `out`."""
-    points, curves, title = curve.read(records.rows("curve"))
-    curve.draw_curves(Path(out) / PICTURES["curve.png"].figure, points, curves[curve.EDGE], title)
+    """Draw the record of the curve, and where its factor comes from, into the folder `out`."""
+    rows = records.rows("curve")
+    curve.draw_curves(Path(out) / PICTURES["curve.png"].figure, rows)
+    hundredfold.draw_steps(Path(out) / PICTURES["hundredfold.png"].figure, hundredfold.steps(rows))
 
 
 def draw_tour(_):
@@ -196,7 +207,17 @@ def draw_tour(_):
     record([TOUR])
 
 
+def with_table(text):
+    """The text of reference.md with the table of the record of accuracy."""
+    table = report.markdown_table(verdicts.findings(KNOBS, verdicts.read(ACCURACY)))
+    before, mark, after = text.partition("<!-- accuracy -->\n")
+    rest = after.partition("<!-- end -->")[2]
+    return "\n".join([f"{before}{mark}{table[0]}", *table[1:], f"<!-- end -->{rest}"])
+
+
 def draw_accuracy(out):
-    """Turn the knob whose picture is shown and draw the stability map, both into `out`."""
-    report.run(["cut"], out)
+    """Draw the record of accuracy and the stability map; renew the reference's table."""
+    answers.draw_answers(Path(out) / PICTURES["accuracy.png"].figure, verdicts.read(ACCURACY))
     stability.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
+    reference = FOLDER / "reference.md"
+    write_text(reference, with_table(reference.read_text(encoding="utf-8")))

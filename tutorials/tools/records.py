@@ -2,9 +2,11 @@
 
 python -m tutorials.tools.records beyond_networks    train what this record lacks, and write it
 python -m tutorials.tools.records curve --jobs 2     the same, two trainings at once
+python -m tutorials.tools.records curve --collect    only take the rows that are in report/records/
 
 A row is there when it has a sha256, that of its file; delete rows that are no longer true. New rows
-and files lie in report/records/ as well, so what was stopped goes on there.
+and files lie in report/records/ as well, so what was stopped goes on there. Several machines make
+the curve together: each runs a part of `p4dgs-ref compare --curve --point I/N -o report/records`.
 """
 
 import argparse
@@ -34,7 +36,7 @@ SWEEP = {  # of the first scene and seed
 PLANS = {  # {record: the Tasks of its rows, in their order, for scenes and a folder of files}
     "curve": curve.plan,
     "ablate": lambda scenes, folder: [
-        task for scene in scenes[:2] for task in ablate.plan(scene, folder)
+        task for scene in scenes[:2] for task in ablate.plan(scene, folder, losses=())
     ],
     "beyond_networks": lambda scenes, folder: sorted(
         methods.plan(PAIRS, OUR_PRESETS, scenes, folder)
@@ -72,23 +74,36 @@ def as_number(text):
     return text
 
 
-def main(name, jobs):
-    """Make the rows of a record that are missing, and write it."""
+def name_of(row):
+    """What distinguishes a row from the others of its record."""
+    return row["file"], row["iterations"]
+
+
+def name_of_task(task):
+    """The `name_of` the row of a Task."""
+    return task.path.name, methods.preset_of(task).iterations
+
+
+def main(name, jobs, is_made=False):
+    """Make the rows of a record that are missing, unless they are made, and write it."""
     every = tasks(name)
-    kept = {row["file"]: row for row in rows(name) if "sha256" in row}
-    missing = [task for task in every if task.path.name not in kept]
-    methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
-    kept |= {row["file"]: row for row in methods.made(missing)}
+    kept = {name_of(row): row for row in rows(name) if "sha256" in row}
+    missing = [task for task in every if name_of_task(task) not in kept]
+    if not is_made:
+        methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
+    kept |= {name_of(row): row for row in methods.made(missing)}
     with filled(FOLDER / "records") as staging:
-        write_csv(staging / f"{name}.csv", [kept[task.path.name] for task in every])
+        there = [kept[key] for key in map(name_of_task, every) if key in kept]
+        write_csv(staging / f"{name}.csv", there)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Make the rows of a record that are missing.")
     parser.add_argument("name", choices=PLANS)
     parser.add_argument("--jobs", type=int, default=1, help="trainings at once")
+    parser.add_argument("--collect", action="store_true", help="train nothing")
     arguments = parser.parse_args()
     try:
-        main(arguments.name, arguments.jobs)
+        main(arguments.name, arguments.jobs, arguments.collect)
     except KeyboardInterrupt:
         sys.exit("stopped; the trainings that are done are kept, the same command makes the others")

@@ -2,7 +2,7 @@
 
 python -m tutorials.tools.syllabus               run all tutorials, draw all, write the index
 python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
-python -m tutorials.tools.syllabus accuracy      only the pictures of the two studies of accuracy
+python -m tutorials.tools.syllabus accuracy      the pictures of accuracy and the reference's table
 python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
 python -m tutorials.tools.syllabus curve         only the picture of the curve, from its record
 python -m tutorials.tools.syllabus index         only the index, with the times it already holds

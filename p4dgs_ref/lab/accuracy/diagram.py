@@ -1,8 +1,11 @@
 """Diagrams of a loss against what is spent: one line per method, points along its knob."""
 
+from itertools import product
+
 import numpy as np
 
 from ...report.figures import COLORS, save_figure, styled, subplots
+from ..writer import grouped
 
 # The markers differ as well, for grey prints.
 LINE_COLORS = (*COLORS, "#8C6D31", "#808080")
@@ -19,25 +22,22 @@ PLACES = (
     (-12, 12, "right"),
     (12, -20, "left"),
     (-12, -20, "right"),
+    (14, -3, "left"),
+    (-14, -3, "right"),
 )
 SMALLEST_ERROR = 1e-17  # a logarithmic axis cannot show zero
 
 
-def lines_of(rows):
-    """The rows of each line, {line: rows}, in their order."""
-    names = dict.fromkeys(row["line"] for row in rows)
-    return {name: [row for row in rows if row["line"] == name] for name in names}
-
-
-def lines(ax, rows, x, y):
+def lines(ax, rows, x, y, joined=True):
     """Draw one line per `line` through the columns x and y of rows, with the value at each point.
 
+    A row that is `ours` has a star and a bold label. The entries of `each` are dots at its x.
     A row with the columns x_low and x_high gets a bar from quartile to quartile. NaN and infinity
     are a red cross at the top of the panel. Scales and labels of the axes are the caller's.
     """
-    for i, (name, points) in enumerate(lines_of(rows).items()):
+    for i, ((name,), points) in enumerate(grouped(rows, "line").items()):
         color, marker = LINE_COLORS[i % len(LINE_COLORS)], MARKERS[i % len(MARKERS)]
-        style = dict(color=color, marker=marker, markersize=6, linewidth=1.6)
+        style = dict(color=color, marker=marker, markersize=6, linewidth=1.6 * joined)
         smallest = SMALLEST_ERROR if ax.get_yscale() == "log" else -np.inf
         losses = [max(row[y], smallest) if np.isfinite(row[y]) else np.nan for row in points]
         ax.plot([row[x] for row in points], losses, label=name, **style)
@@ -46,6 +46,10 @@ def lines(ax, rows, x, y):
             if np.isnan(loss):
                 at, above = (row[x], 0.97), ax.get_xaxis_transform()
                 ax.plot(*at, "x", color="red", markersize=9, transform=above)
+            if row.get("ours"):
+                ax.plot(*at, "*", color=color, markersize=17, transform=above)
+            for one in row.get("each", ()):
+                ax.plot(row[x], one, "_", color=color, markersize=9)
             if f"{x}_low" in row:
                 ax.plot(
                     [row[f"{x}_low"], row[f"{x}_high"]],
@@ -63,6 +67,7 @@ def lines(ax, rows, x, y):
                 textcoords="offset points",
                 color=color,
                 fontsize=9,
+                fontweight="bold" if row.get("ours") else "normal",
                 in_layout=False,  # the panels keep their sizes where labels move
             )
     ax.grid(True, which="major", color="#dddddd", linewidth=0.7)
@@ -86,31 +91,46 @@ def readable_ticks(axis):
 def place_labels(fig):
     """Move the labels of points to where they cover neither points nor each other.
 
-    A label for which there is no such place is left out; the CSV has its number.
+    Where there is room they do not cross lines either. A label for which there is no place is left
+    out; the CSV has its number.
     """
     fig.draw_without_rendering()
     for ax in fig.axes:
         labels = [text for text in ax.texts if hasattr(text, "xyann")]
-        taken = [box for line in ax.lines if labels for box in marker_boxes(line)]
+        labels.sort(key=lambda text: text.get_fontweight() != "bold")  # ours first
+        drawn = [line for line in ax.lines if labels]
+        taken = [box for line in drawn for box in boxes(points_of(line))]
+        crossed = [box for line in drawn for box in boxes(between(points_of(line)))]
         for text in labels:
-            for x, y, side in PLACES:
+            for avoided, (x, y, side) in product((taken + crossed, taken), PLACES):
                 text.set(horizontalalignment=side)
                 text.xyann = x, y
                 box = text.get_window_extent()
                 inside = ax.bbox.count_contains(box.corners()) == 4
-                if inside and not box.count_overlaps(taken):
+                if inside and not box.count_overlaps(avoided):
                     taken.append(box.padded(2))
                     break
             else:
                 text.set_visible(False)
 
 
-def marker_boxes(line, half=4):
-    """A box of `half` pixels to each side around every point of a line."""
+def points_of(line):
+    """The points [n, 2] of a line in pixels, without those that are not finite."""
+    points = line.get_transform().transform(np.column_stack(line.get_data()))
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def between(points, steps=20):
+    """Points on the way from each point to the next."""
+    shares = np.linspace(0, 1, steps)[:, None]
+    return [p for a, b in zip(points, points[1:]) for p in a + shares * (b - a)]
+
+
+def boxes(points, half=4):
+    """A box of `half` pixels to each side around every point."""
     from matplotlib.transforms import Bbox
 
-    points = line.get_transform().transform(np.column_stack(line.get_data()))
-    return [Bbox([point - half, point + half]) for point in points[np.isfinite(points).all(axis=1)]]
+    return [Bbox([point - half, point + half]) for point in points]
 
 
 @styled()
@@ -124,7 +144,7 @@ def write_figure(path, rows, x, y, enough, **properties):
     ax.margins(0.12, 0.15)
     lines(ax, rows, x, y)
     ax.axhline(enough, color="gray", linestyle=":")
-    if len(lines_of(rows)) > 1:
+    if len(grouped(rows, "line")) > 1:
         ax.legend(fontsize=10, frameon=False)
     for axis in (ax.xaxis, ax.yaxis):
         if axis.get_scale() == "log":

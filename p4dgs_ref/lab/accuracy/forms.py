@@ -1,16 +1,19 @@
 """Cheaper forms of a function beside its true value: what the harness of formulas measures.
 
 Each function below returns {(line, value): (run, judge)}. `run()` computes one form and is timed;
-`judge(result)` returns the columns of its errors, of which `error` is drawn. The values of a knob
-go from the reference to cheaper ones. The page's table shows the first line.
+`judge(result)` returns the columns of its errors. The values of a knob go from the reference to
+cheaper ones. The page's table shows the first line.
 """
 
+import zlib
 from functools import partial
 
 import numpy as np
 from numpy.linalg import norm
 from scipy.special import roots_legendre
 
+from ...codec.gaussian_table import MU_BITS, SIGMA_BITS
+from ...codec.streams import decode_gaussian, encode_gaussian
 from ...equations import likelihood
 from ...oracle.compare import cast
 from ...random_inputs import cov2d_of, random_anchor_network, random_splats
@@ -21,6 +24,7 @@ from . import formulas
 
 CUTS = {"1e-9": 1e-9, "1e-6": 1e-6, "5e-5": 5e-5, "1e-3": 1e-3, "1/255": 1 / 255, "1e-2": 1e-2}
 PER_ANCHOR = 34  # coded numbers of an anchor in the preset `tiny`
+LANES = "lanes chosen"  # by the encoder
 
 
 def gradient_errors(truth, gradient):
@@ -37,42 +41,53 @@ def splat_scene(n, side, **spread):
     return splats, cov2d_of(splats["conic"]), frame, image_bar
 
 
-def image_and_gradients(scene, settings):
-    """The image, its gradients, and how many pairs of a Gaussian and a pixel were evaluated."""
-    splats, cov2d, frame, image_bar = scene
+def picture(scene, settings):
+    """The image, its pullback, and how many pairs of a Gaussian and a pixel were evaluated."""
+    splats, cov2d, frame, _ = scene
     if settings.footprint == "all":
         inputs = cast({**splats, **frame}, settings.dtype)
         outputs, pullback = EQUATIONS["compositing"].vjp(**inputs)
         pairs = frame["height"] * frame["width"] * int(splats["visible"].sum())
-        return outputs["image"], pullback(image_bar=image_bar.astype(settings.dtype)), pairs
+        return outputs["image"], lambda bar: pullback(image_bar=bar.astype(settings.dtype)), pairs
     (image, _), saved = fast.forward(**splats, cov2d=cov2d, **frame, settings=settings)
-    return image, fast.backward(saved, image_bar), sum(A.size for _, _, A, *_ in saved[0])
+    return image, partial(fast.backward, saved), sum(A.size for _, _, A, *_ in saved[0])
+
+
+def image_and_gradients(scene, settings):
+    """The image, its gradients, and the number of pairs."""
+    image, pullback, pairs = picture(scene, settings)
+    return image, pullback(scene[-1]), pairs
 
 
 def image_errors(truth, result):
-    """Errors of an image and of its gradients against those of the exact renderer."""
+    """Errors of an image against that of the exact renderer."""
     gap = result[0].astype(float) - truth[0]
     return {
         "error": float(np.abs(gap).max()),
         "rms_error": float(np.sqrt((gap**2).mean())),
-        "gradient_error": gradient_errors(truth[1], result[1])["error"],
         "pairs": result[2],
     }
 
 
-def rendered(choices, scene):
+def errors_with_gradients(truth, result):
+    """Errors of an image and of its gradients against those of the exact renderer."""
+    of_gradients = gradient_errors(truth[1], result[1])["error"]
+    return {**image_errors(truth, result), "gradient_error": of_gradients}
+
+
+def rendered(choices, scene, run=image_and_gradients, judge=errors_with_gradients):
     """Forms of the renderer, {(line, value): Settings}, for one scene."""
-    judge = partial(image_errors, image_and_gradients(scene, EXACT))
-    return {
-        key: (partial(image_and_gradients, scene, settings), judge)
-        for key, settings in choices.items()
-    }
+    judge = partial(judge, run(scene, EXACT))
+    return {key: (partial(run, scene, settings), judge) for key, settings in choices.items()}
 
 
 def renderer(quick):
-    """The three named settings, on small splats."""
+    """The three named settings, on small splats: a frame, and a frame with its gradients."""
     scene = splat_scene(*((300, 48) if quick else (1000, 64)))
-    return rendered({("", s.name): s for s in (EXACT, FAST, PAPER)}, scene)
+    frames, both = (
+        {(line, s.name): s for s in (EXACT, FAST, PAPER)} for line in ("a frame", "with gradients")
+    )
+    return rendered(frames, scene, picture, image_errors) | rendered(both, scene)
 
 
 def cut(quick):
@@ -141,41 +156,42 @@ def bins(limits, n):
     return [a.astype(np.float32).astype(float) for a in drawn]
 
 
-def priced(choices, quick):
-    """Forms of Eq. (11), {(line, value): (formula, limits)}."""
+def priced(choices, quick, dtype="float64"):
+    """Forms of Eq. (11), {(line, value): (formula, limits)}, in one precision."""
     forms = {}
     for key, (formula, limits) in choices.items():
         z, w = bins(limits, 2000 if quick else 20_000)
-        run = partial(formula, **formulas.inputs(z, w, "float64"))
-        forms[key] = run, partial(bin_errors, formula, z, w)
+        run = partial(formula, **formulas.inputs(z, w, dtype))
+        forms[key] = run, partial(bin_errors, formula, z, w, dtype)
     return forms
 
 
-def bin_errors(formula, z, w, result):
-    """The largest errors of bits and gradient over some bins; infinite where one is not finite."""
+def bin_errors(formula, z, w, dtype, result):
+    """The largest errors of bits and slopes over some bins; infinite where one is not finite."""
     bits, slopes = (
         float(a.max()) if np.isfinite(a).all() else np.inf
-        for a in formulas.errors(formula, z, w, "float64")
+        for a in formulas.errors(formula, z, w, dtype)
     )
     failed = float(np.mean(~np.isfinite(result[0])))
     return {
-        "error": max(bits, slopes),
         "bits_error": bits,
-        "gradient_error": slopes,
+        "slopes_error": slopes,
         "failed_share": failed,
+        "symbols": len(z),
     }
 
 
 def likelihood_formula(quick):
     """Formulas of Eq. (11) over the declared domain, and over the values of a trained model."""
-    order = ("stable", "log domain", "HAC, floor 1e-6", "tail-symmetric", "literal")
+    order = ("stable", "log domain", formulas.TABLE, "HAC, floor 1e-6", "tail-symmetric", "literal")
     lines = {"the declared domain": DOMAIN, "up to 3 σ, bins of 0.01 to 10 σ": USUAL}
-    choices = {
-        (line, name): (formulas.FORMULAS[name], limits)
-        for line, limits in lines.items()
-        for name in order
-    }
-    return priced(choices, quick)
+    forms = {}
+    for line, limits in lines.items():
+        for dtype in ("float64", "float32"):
+            names = {(f"{line}, {dtype}", name): formulas.FORMULAS[name] for name in order}
+            choices = {key: (formula, limits) for key, formula in names.items()}
+            forms |= priced(choices, quick, dtype)
+    return forms
 
 
 def likelihood_table(quick):
@@ -210,3 +226,38 @@ def noise_draws(_quick):
         return {"error": float(norm(bits - truth) / truth.sum())}
 
     return {("", f"{n}"): (partial(run, n), judge) for n in (64, 16, 4, 1)}
+
+
+# --- the entropy coder ---------------------------------------------------------------------------
+def in_units(mu, sigma):
+    """Means and deviations as the integers of the coder."""
+    scaled = mu * 2.0**MU_BITS, np.log2(sigma) * 2.0**SIGMA_BITS
+    return [np.rint(values).astype(np.int64) for values in scaled]
+
+
+def coder(_quick):
+    """Encoding and decoding the symbols of 2,000 anchors, and the bytes above their entropy.
+
+    zlib, which knows no Gaussians, has the same symbols as integers of 16 bits.
+    """
+    symbols, mu, sigma = message(2000 * PER_ANCHOR)
+    entropy = likelihood.forward(symbols.astype(float), mu, sigma, np.ones(len(mu)))[0].sum() / 8
+    units, plain = in_units(mu, sigma), symbols.astype("<i2").tobytes()
+    encoders = {
+        name: partial(encode_gaussian, symbols, *units, lanes=lanes)
+        for name, lanes in {"1 lane": 1, "8 lanes": 8, LANES: None, "64 lanes": 64}.items()
+    }
+    encoders["zlib"] = partial(zlib.compress, plain, 9)
+    streams = {name: encode() for name, encode in encoders.items()}
+    decoders = {name: partial(decode_gaussian, data, *units) for name, data in streams.items()}
+    decoders["zlib"] = partial(zlib.decompress, streams["zlib"])
+
+    def judge(name, _result):
+        above = len(streams[name]) - entropy
+        return {"error": above / entropy, "above_bytes": above, "entropy_bytes": entropy}
+
+    return {
+        (line, name): (run, partial(judge, name))
+        for line, runs in {"encode": encoders, "decode": decoders}.items()
+        for name, run in runs.items()
+    }

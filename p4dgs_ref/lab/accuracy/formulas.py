@@ -108,12 +108,13 @@ def lookup_table(entries):
 
 
 literal, hac = formula_of(difference, folded=False), formula_of(floored, folded=False)
+TABLE = "table, 256 per sigma"
 FORMULAS = {
     "literal": literal,
     "HAC, floor 1e-6": hac,
     "tail-symmetric": formula_of(tails),
     "log domain": formula_of(log_tails),
-    "table, 256 per sigma": lookup_table(256),
+    TABLE: lookup_table(256),
     "stable": likelihood.forward,
 }
 TABLES = (16, 64, 256, 1024, 4096)

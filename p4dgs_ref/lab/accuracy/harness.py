@@ -1,28 +1,35 @@
 """Short trainings, and the harnesses, which measure the values of a knob and return rows.
 
-A row has the columns line and value, then error and ms (formulas, kernels), psnr_db and bytes
-(files), or psnr_db, bytes and seconds (training). Times are processor times, taken in turn, of this
-process or, for kernels, of one process each; trainings may run in others.
+A row has the columns line and value, then errors and ms (formulas, kernels), psnr_db, bytes and
+seed (files), or psnr_db, bytes, seed and seconds (training). Times are processor times, taken in
+turn, of this process or, for kernels, of one process each; trainings may run in others.
 """
 
+import hashlib
+import json
 import os
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ...arithmetic import CHOSEN, OWN, kernels
+from ... import output
+from ...arithmetic import CHOSEN, OWN, arithmetic, kernels
 from ...codec.file import ATTRIBUTE_SECTIONS
 from ...designs import choose, decode, encode, trainer_of
 from ...report.evaluate import evaluate
 from ...report.inspect import components
 from ...report.jobs import in_processes, processes
 from ...scenes import load_scene
+from ...scenes.files import read_json
+from ...training.fit import fingerprint
 from ...training.presets import TINY
 from ..clock import alternate, clocked
 
-SCENE, ITERATIONS, SEEDS = "bouncing", 950, 3
+SCENE, SEEDS = "bouncing", 3
 STEPS = 10  # of a training with other kernels, timed together
 # The iterations of a preset that are shortened together with its stages.
 DATES = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
@@ -36,23 +43,28 @@ def shortened(preset, share):
     return replace(preset, stage_ends=ends, **dates)
 
 
-def reduced(iterations, **changes):
-    """`tiny` for that many iterations, with other changes; the windows of growing shrink, too."""
-    share = iterations / TINY.iterations
-    window = max(20, round(share * TINY.grow_every))
-    return choose(shortened(TINY, share), {"grow_every": window, **changes})
+def reduced(iterations, preset=TINY, **changes):
+    """A preset for that many iterations, with other changes; the windows of growing shrink, too."""
+    share = iterations / preset.iterations
+    window = max(20, round(share * preset.grow_every))
+    return choose(shortened(preset, share), {"grow_every": window, **changes})
 
 
 def step_at(scene, preset, stage, **options):
-    """A function that does the first step of a stage again and again and returns all parameters.
+    """A function that does the second step of a stage again and again and returns all parameters.
 
-    `options` are those of the Trainer.
+    The first step, which is done here, may have work that a stage does only once. `options` are
+    those of the Trainer.
     """
     # The anchors stay as they are.
     trainer = trainer_of(scene, replace(preset, grow_every=10**9), **options)
+    trainer.iteration, end = (0, *preset.stage_ends)[stage - 1 : stage + 1]
+    second = min(trainer.iteration + 1, end - 1)
+    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
+        trainer.step()
 
     def step():
-        trainer.iteration = (0, *preset.stage_ends)[stage - 1]
+        trainer.iteration = second
         trainer.step()
         return trainer.parameters.vector
 
@@ -65,15 +77,20 @@ def scene_of(downscale=1):
     return load_scene(SCENE, downscale=downscale)
 
 
-def prepared(changes, iterations):
-    """The scene, the preset and the Trainer's options of a training with some changes."""
+def prepared(changes, iterations=None):
+    """The scene, the preset and the Trainer's options of a training with some changes.
+
+    It has the iterations of its preset, or that many.
+    """
     changes = dict(changes)
     scene = scene_of(changes.pop("downscale", 1))
     options = {name: changes.pop(name) for name in ("settings",) if name in changes}
-    return scene, reduced(changes.pop("iterations", iterations), **changes), options
+    preset = choose(changes.pop("preset", TINY))
+    share = changes.pop("share", 1)
+    return scene, reduced(share * (iterations or preset.iterations), preset, **changes), options
 
 
-def trained(changes, iterations, seed=0):
+def trained(changes, iterations=None, seed=0):
     """The model of a training with some changes."""
     scene, preset, options = prepared(changes, iterations)
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
@@ -93,7 +110,7 @@ def measure_forms(forms, repeats):
 
 @cache
 def step_of_stage_4():
-    """A function that does the first step of stage 4."""
+    """A function that does a step of stage 4."""
     return step_at(scene_of(), TINY, 4)
 
 
@@ -105,7 +122,7 @@ def clocked_steps():
     return clocked(lambda: [step_of_stage_4()() for _ in range(STEPS)][-1])
 
 
-def measure_kernels(knob):
+def measure_kernels(turns):
     """Rows of a training step with the kernels in force, and with those of the processor's choice.
 
     Kernels are chosen when NumPy loads, so each has a process of its own, and these take turns. The
@@ -116,7 +133,7 @@ def measure_kernels(knob):
         with natively():
             names.append(second(kernels)())
         starts = dict(enumerate((first, second)))
-        times = alternate(starts, knob.values, lambda start: start(clocked_steps)())
+        times = alternate(starts, turns, lambda start: start(clocked_steps)())
         ends = [start(clocked_steps)()[0] for start in starts.values()]
     differ = [float(np.mean(end != ends[0])) for end in ends]
     return [
@@ -140,7 +157,7 @@ def natively():
 
 
 def measured(model, scene):
-    """Columns of a model: PSNR of its decoded file, and bytes."""
+    """Columns of a model: PSNR of its decoded file, bytes, and the file's sha256."""
     data = encode(model)
     metrics, sizes = evaluate(decode(data), scene)[0], components(data)
     return {
@@ -148,6 +165,7 @@ def measured(model, scene):
         "bytes": len(data),
         "attribute_bytes": sum(sizes[name] for name in ATTRIBUTE_SECTIONS),
         "anchors": metrics["anchors"],
+        "sha256": hashlib.sha256(data).hexdigest()[:16],
     }
 
 
@@ -159,15 +177,42 @@ def measure_file(knob, model, scene):
     ]
 
 
-def train_one(task):
-    """Columns of one training: task = (changes, iterations, seed)."""
-    return measured(trained(*task), scene_of())
+class Training(NamedTuple):
+    """A training with some changes, and the knobs of files for which its model is written."""
+
+    folder: str | Path  # where its result is kept
+    changes: dict
+    iterations: int | None
+    seed: int
+    files: tuple = ()
+
+    @property
+    def path(self):
+        """The file of the result. Its name has a checksum of all that determines the training."""
+        scene, preset, options = prepared(self.changes, self.iterations)
+        names = [knob.name for knob in self.files]
+        text = f"{preset} {options} {names} {scene.effects} {arithmetic()}"
+        crc = fingerprint(scene.train + scene_of().test, text)
+        return Path(self.folder) / f"{SCENE}_seed{self.seed}_{crc:08x}.json"
+
+
+def train_one(training):
+    """Train, and write the rows {knob: rows} of the model, whose knob is "", and of its files."""
+    _, changes, iterations, seed, files = training
+    model, scene = trained(changes, iterations, seed), scene_of()
+    length = prepared(changes, iterations)[1].iterations
+    columns = {"seed": seed, "iterations": length, "arithmetic": arithmetic()}
+    rows = {knob.name: measure_file(knob, model, scene) for knob in files}
+    rows[""] = [measured(model, scene)]
+    result = {name: [{**row, **columns} for row in of_knob] for name, of_knob in rows.items()}
+    text = json.dumps(result, indent=1) + "\n"
+    output.write_atomically(training.path, lambda file: file.write(text.encode()))
 
 
 def seconds(runs, iterations):
     """Columns of the processor seconds of trainings, {name: columns} for {name: changes}.
 
-    A step of stage 3 and one of stage 4 of all runs are timed in turn, at their first parameters.
+    A step of stage 3 and one of stage 4 of all runs are timed in turn, near their first parameters.
     Half of the iterations count as the one, half as the other; stages 1 and 2 are short.
     """
     pairs, ms_to_seconds = {}, {}
@@ -181,26 +226,37 @@ def seconds(runs, iterations):
     return {name: times[name].columns("seconds", ms_to_seconds[name]) for name in runs}
 
 
-def measure_trainings(knobs, iterations, progress, jobs):
-    """Rows of all knobs of training, {name: rows}, and how far seeds differ, in dB.
+def measure_trainings(knobs, files, folder, iterations, seeds, progress, jobs):
+    """Rows of all knobs of training and of files, {name: rows}.
 
-    Trainings that several knobs share are done once.
+    Trainings that several knobs share are done once. Their results are kept in `folder`, and what
+    is there is not made again.
     """
     runs = {repr(changes): changes for knob in knobs for changes in knob.values.values()}
-    progress("training: times of steps")
-    times, results = seconds(runs, iterations), []
-    tasks = [(changes, iterations, 0) for changes in runs.values()]
-    tasks += [({}, iterations, seed) for seed in range(SEEDS)]
-    for result in in_processes(train_one, tasks, jobs):
-        results.append(result)
-        progress(f"training: {len(results)} of {len(tasks)} trainings")
-    spread = float(np.ptp([result["psnr_db"] for result in results[len(runs) :]]))
-    columns = {key: {**result, **times[key]} for key, result in zip(runs, results)}
+    progress(f"training: times of steps of {len(runs)} trainings")
+    times = seconds(runs, iterations) if runs else {}
+    every = {
+        (key, seed): Training(folder, changes, iterations, seed, () if changes else tuple(files))
+        for seed in range(seeds)
+        for key, changes in (runs | ({repr({}): {}} if files else {})).items()
+    }
+    missing = [training for training in every.values() if not training.path.exists()]
+    minutes = sum(times[key]["seconds"] for key in runs) * seeds / jobs / 60
+    progress(f"training: {len(missing)} of {len(every)}; all of them take {minutes:.0f} minutes")
+    with output.made(folder):
+        for done, _ in enumerate(in_processes(train_one, missing, jobs), 1):
+            progress(f"training: {done} of {len(missing)} trainings")
+    kept = {key: read_json(training.path, "a training's rows") for key, training in every.items()}
     rows = {
         knob.name: [
-            {"line": "", "value": value, **columns[repr(changes)]}
+            {"line": "", "value": value, **kept[repr(changes), seed][""][0], **times[repr(changes)]}
             for value, changes in knob.values.items()
+            for seed in range(seeds)
         ]
         for knob in knobs
     }
-    return rows, spread
+    of_files = {
+        knob.name: [row for seed in range(seeds) for row in kept[repr({}), seed][knob.name]]
+        for knob in files
+    }
+    return rows | of_files

@@ -22,20 +22,39 @@ from . import forms
 MIN_DEVIATION = 0.05  # of a channel, in steps: a constant channel still has a finite prior
 
 
+class Loss(NamedTuple):
+    """What a knob loses: one quantity in one unit."""
+
+    column: str  # of the rows
+    enough: float  # a loss that does not matter, in the unit
+    unit: str
+    scale: float = 1.0  # the units in one of the column's
+
+
+PSNR = Loss("psnr_db", 0.1, "dB")
+PICTURE = Loss("error", 0.5, "grey levels", 255)
+BITS = Loss("bits_error", 1, "% of the bits", 100)
+SLOPES = Loss("slopes_error", 0.1, "% of the slopes", 100)
+
+
 class Knob(NamedTuple):
     """A row of the table of knobs."""
 
     name: str
     harness: str  # "formula", "kernels", "file" or "training"
     # Of "formula" and "file" a function that returns the forms, of "kernels" the turns, of
-    # "training" {value: changes}, where `changes` are fields of the preset, or its iterations,
-    # downscale or settings.
+    # "training" {value: changes}, where `changes` are fields of the preset, or another `preset`,
+    # a `share` of the iterations, downscale or settings.
     values: Any
     changes: str  # what the knob is, in words
     set_by: str  # where a user of the package sets it
-    enough: float = 0.1  # a loss that does not matter: an error, or dB
-    unit: str = "dB"  # of the loss
+    losses: tuple[Loss, ...] = (PSNR,)  # a row of the page's table for each
     spent: str = "bytes"  # the column that the knob saves: "ms", "seconds" or "bytes"
+
+
+def formula(name, values, changes, set_by, *losses):
+    """A knob of a function that is computed in cheaper forms."""
+    return Knob(name, "formula", values, changes, set_by, losses, "ms")
 
 
 def field(name, label, values, base, changes, spent="seconds"):
@@ -47,12 +66,6 @@ def field(name, label, values, base, changes, spent="seconds"):
 def steps_times(factor):
     """The base steps of `tiny`, times a factor."""
     return {row.base_step: factor * getattr(TINY, row.base_step) for row in ATTRIBUTES}
-
-
-# Of the knobs of formulas: a loss that does not matter, its unit, and what is saved.
-PICTURE = 0.5 / 255, "of the picture", "ms"  # half a step of 8 bits
-RATE = 0.01, "of the bits", "ms"
-SLOPE = 1e-3, "of the gradient", "ms"
 
 
 # --- the same model written otherwise -------------------------------------------------------------
@@ -138,61 +151,63 @@ def context(model):
 
 # --- the table ------------------------------------------------------------------------------------
 KNOBS = (
-    Knob(
+    formula(
         "renderer",
-        "formula",
         forms.renderer,
         "Which Gaussians are evaluated at which pixels, and in which precision",
         "`settings` of `render` and `train`",
-        *PICTURE,
+        PICTURE,
     ),
-    Knob(
+    formula(
         "cut",
-        "formula",
         forms.cut,
         "The opacity below which a Gaussian ends",
         "`Settings.cut`",
-        *PICTURE,
+        PICTURE,
     ),
-    Knob(
+    formula(
         "stop",
-        "formula",
         forms.stop,
         "The transmittance below which a ray ends, behind large opaque splats",
         "`Settings.stop`",
-        *PICTURE,
+        PICTURE,
     ),
-    Knob(
+    formula(
         "precision",
-        "formula",
         forms.precision,
         "The floating-point type of an equation, forward and backward",
         "the inputs' dtype; `Settings.dtype`",
-        *SLOPE,
+        Loss("error", 0.1, "% of the gradient", 100),
     ),
-    Knob(
+    formula(
         "likelihood",
-        "formula",
         forms.likelihood_formula,
         "The formula for the bits of a symbol, Eq. (11)",
         "`equations/likelihood.py`",
-        *RATE,
+        BITS,
+        SLOPES,
     ),
-    Knob(
+    formula(
         "likelihood table",
-        "formula",
         forms.likelihood_table,
         "Eq. (11) from a table of the normal distribution, entries per σ",
         "`lab/accuracy/formulas.py`",
-        *RATE,
+        BITS,
+        SLOPES,
     ),
-    Knob(
+    formula(
         "noise draws",
-        "formula",
         forms.noise_draws,
         "How many draws of the quantisation noise estimate the rate of 200 anchors",
         "one draw in `training/objective.py`",
-        *RATE,
+        Loss("error", 1, "% of the bits", 100),
+    ),
+    formula(
+        "coder",
+        forms.coder,
+        "The lanes of the entropy coder, and zlib, for the symbols of 2,000 anchors",
+        "`lanes` of `codec.streams.encode_gaussian`",
+        Loss("error", 1, "% above the entropy", 100),
     ),
     Knob(
         "same bytes everywhere",
@@ -200,8 +215,7 @@ KNOBS = (
         20,
         "A training step with the kernels of AVX2, and with those that the processor would choose",
         "`P4DGS_KERNELS=native`",
-        1e-3,
-        "of the numbers",
+        (Loss("error", 0.1, "% of the numbers", 100),),
         "ms",
     ),
     Knob(
@@ -235,9 +249,18 @@ KNOBS = (
     Knob(
         "iterations",
         "training",
-        {f"{n:,}": dict(iterations=n) for n in (3800, 1900, 950, 475, 240)},
+        {f"{3800 // n:,}": {} if n == 1 else dict(share=1 / n) for n in (1, 2, 4, 8)},
         "The length of the training; all stages shrink alike",
         "`--set stage_ends` and others",
+        spent="seconds",
+    ),
+    Knob(
+        "preset",
+        "training",
+        {"small_coded": dict(preset="small_coded"), "tiny_coded": dict(preset="tiny_coded")}
+        | {"tiny": {}},
+        "The preset; those with coded networks go beyond the paper",
+        "`--preset`",
         spent="seconds",
     ),
     Knob(

@@ -20,10 +20,9 @@ from ...scenes.fields import require
 from ...scenes.files import reading
 from ...splatting.settings import FAST
 from ...table import EQUATIONS, Equation
-from ...training.parameters import Parameters
 from ...training.presets import read_changes
 from .. import entry
-from . import d3dgs, explicit, gaussian4d, hexplane
+from . import coded, d3dgs, explicit, gaussian4d, half, hexplane
 
 # The names in comparisons, each with its module and its preset for the tiny scenes.
 METHODS = {
@@ -32,6 +31,8 @@ METHODS = {
     "hexplane": (hexplane, "tiny"),
     "gaussian4d": (gaussian4d, "tiny"),
 }
+
+DECODERS = {".half": half.decode, ".coded": coded.decode}  # of files that are no PLY
 
 
 def module_of(method):
@@ -62,10 +63,12 @@ def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None
 
 
 def load(path):
-    """The model in a file of any method. Raises ValueError with one line for another file."""
-    with reading(Path(path), "the file of a baseline"), np.errstate(all="ignore"):
-        arrays, values = explicit.read_file(path)
-        p, (module, _) = Parameters(arrays), module_of(values["method"])
+    """The model in a file of any method and storage. Raises ValueError for another file."""
+    path = Path(path)
+    with reading(path, "the file of a baseline"), np.errstate(all="ignore"):
+        decode = DECODERS.get(path.suffix)
+        p, values = decode(path.read_bytes()) if decode else explicit.read_file(path)
+        module, _ = module_of(values["method"])
         require(np.isfinite(p.vector).all(), path, "expected finite numbers")
         preset, background = module.Preset(**values["form"]), np.array(values["background"], float)
         model = module.Trainer.kind(p, preset, background.reshape(3), values["occlusion"])

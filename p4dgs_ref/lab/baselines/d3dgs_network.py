@@ -59,10 +59,12 @@ def move(design, networks, x, s, r, t):
 class Model(model.Model):
     """The paper's Model, moved by `move`."""
 
+    move = staticmethod(move)
+
     def gaussians(self, t, camera):
         """The Gaussians at time t in [0, 1] for this camera."""
         x_c = camera.center.astype(self.anchors.x_a.dtype)
-        return predict(self.design, self.networks, self.anchors, x_c, t, move)[0]
+        return predict(self.design, self.networks, self.anchors, x_c, t, self.move)[0]
 
 
 class Trainer(trainer.Trainer):

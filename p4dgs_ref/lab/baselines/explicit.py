@@ -166,6 +166,18 @@ class Explicit:
         """Return the further terms of the loss and add their gradients; here there are none."""
         return 0.0
 
+    def values(self):
+        """What a file says besides the numbers."""
+        arrays = self.parameters.arrays
+        return {
+            "method": self.METHOD,
+            "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
+            "background": [float(c) for c in self.background],
+            "occlusion": self.occlusion,
+            "rows": {n: arrays[n].shape[1:] if n in arrays else (3,) for n in self.PROPERTIES},
+            "shapes": {n: a.shape for n, a in arrays.items() if n not in self.PROPERTIES},
+        }
+
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
         arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
@@ -177,15 +189,10 @@ class Explicit:
             for i in range(numbers.shape[1])
         ]
         network = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
-        values = {
-            "method": self.METHOD,
-            "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
-            "background": [float(c) for c in self.background],
-            "occlusion": self.occlusion,
-            "rows": {name: array.shape[1:] for name, array in rows.items()},
-            "shapes": {name: array.shape for name, array in arrays.items()},
-        }
-        comments = json.dumps(values), f"{len(network)} float32 of networks follow the vertices"
+        comments = (
+            json.dumps(self.values()),
+            f"{len(network)} float32 of networks follow the vertices",
+        )
         sizes = write_ply(
             path,
             properties,
@@ -240,7 +247,7 @@ def of_network(name, weights, biases):
 
 
 def read_file(path):
-    """Return the arrays {name: array} and the JSON values of a file.
+    """Return the Parameters and the JSON values of a file.
 
     Raises an error for a file that no model has saved.
     """
@@ -256,7 +263,7 @@ def read_file(path):
     require(len(network) == count, path, f"expected {count} float32 after the vertices")
     arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
     arrays.pop("normals", None)
-    return arrays, values
+    return Parameters(arrays), values
 
 
 def split(numbers, shapes):

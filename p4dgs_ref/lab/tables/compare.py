@@ -44,6 +44,7 @@ BASELINES = (
     "harmonics of degree 3 where the row does not say another one (sh_degree)."
 )
 COLUMNS = {
+    "iterations": "{iterations:,.0f}",
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
     "SSIM": "{ssim:.4f} ±{ssim_spread:.4f}",
     "bytes": "{bytes:,.0f}",

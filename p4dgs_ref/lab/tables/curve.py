@@ -1,9 +1,14 @@
-"""PSNR against bytes: every method over its own size, and the paper's Table 4.
+"""PSNR against bytes: every method over its own size, in two storages, and the paper's Table 4.
 
-A point is a method with changes of its preset; it is drawn at its mean over scenes and seeds. The
-envelope of the explicit methods, that is, of all baselines, is what the best of them needs for a
-quality.
+A point is a method with changes of its preset and a storage: as the authors of the method store it,
+or coded alike (`baselines.coded`). It is drawn at its mean over scenes and seeds. A method's curve
+goes through its best points: those with a higher PSNR on held-back views than all smaller files of
+this method and storage. So the sizes, steps and lengths of trainings are chosen without the test
+views, whose PSNR is drawn. The envelope goes through the best points of all explicit methods, that
+is, of all baselines.
 """
+
+import numpy as np
 
 from ...report.figures import (
     BLUE,
@@ -17,61 +22,74 @@ from ...report.figures import (
     write_csv,
 )
 from ...report.inspect import components
-from .. import baselines
-from ..writer import bd_rate, envelope, factors, front, means, seeds_of, text_table
-from . import methods
+from .. import StudyError, baselines
+from ..writer import bd_rate, best, factors, points_of, seeds_of, text_table
+from . import hundredfold, methods
 from .compare import BASELINES
-from .methods import CODED, OUR_PRESETS, OURS
+from .methods import ALIKE, AS_STORED, CODED, HALF, OUR_PRESETS, OURS
 
+GRID = (
+    *({"gaussians": n, "sh_degree": d} for n in (200, 400, 800, 1600) for d in (0, 1)),
+    {"gaussians": 800, "sh_degree": 3},
+)
 # The points of each method. To add one, add a row; `preset` names another preset to start from.
 # Table 4 is about the first two.
 SIZES = {
-    OURS: ({"lambda_rate": 0.01}, {}, {"anchors": 400}),
+    OURS: (
+        {"lambda_rate": 0.01},
+        {},
+        {"anchors": 400},
+        {"anchors": 400, "lambda_rate": 0.003},
+        {"anchors": 800},
+    ),
     CODED: (
         {"lambda_rate": 0.003},
         {},
+        {"anchors": 400},
+        {"anchors": 400, "lambda_rate": 0.002},
         {"preset": "small_coded", "d": 8, "anchors": 700, "lambda_rate": 0.0005},
         {"preset": "small_coded", "d": 8, "lambda_rate": 0.00025},
         {"preset": "small_coded"},
     ),
-    "d3dgs": ({"gaussians": 200, "sh_degree": 0}, {}),
-    "d3dgs_small": (
-        {"gaussians": 100, "sh_degree": 0},
-        {"gaussians": 400, "sh_degree": 0},
-        {"gaussians": 800, "sh_degree": 0},
-        {"gaussians": 800, "sh_degree": 1},
-        {},
-    ),
-    "hexplane": ({},),
-    "gaussian4d": ({"gaussians": 500, "sh_degree": 0}, {}),
+    **dict.fromkeys(baselines.METHODS, GRID),
+}
+LENGTHS = 6500, 3800  # iterations; the shorter ones with one seed
+ONE_SEED = ("d3dgs", "hexplane", "gaussian4d")  # far from every envelope
+LOSSES = (5e-4, 2e-3, 8e-3)  # of what is coded alike: the price of the error against bits
+STORAGES = {method: [(ALIKE, loss) for loss in LOSSES] for method in (OURS, *baselines.METHODS)}
+STORAGES["d3dgs_small"].append((HALF, None))
+ENVELOPE = "envelope"  # of the explicit methods
+NAMES = {
+    OURS: "P-4DGS, the paper's design",
+    CODED: "ours: networks coded, too",
+    "d3dgs": "D3DGS, its authors' network",
+    "d3dgs_small": "D3DGS, network of our size",
+    "hexplane": "4DHexPlane",
+    "gaussian4d": "4DGS",
+    ENVELOPE: "envelope of the explicit methods",
 }
 COLORS = dict(zip(SIZES, (LIGHT_BLUE, BLUE, RED, *STACK[1:])))
-DRAWN = {"bytes": "bytes of the file", "anchor_bytes": "bytes of the coded anchors"}
-EDGE = "the envelope"  # of the explicit methods
-RIVAL, MAX_BYTES = "d3dgs_small", 30_000  # our best point of that size stands against its best
+MEAN = "mean"  # over the scenes
 COLUMNS = {
     "point": "{label}",
     "seeds": "{seeds}",
-    "estimated": "{estimated_bytes:,.0f}",
+    "iterations": "{iterations:,}",
     "bytes": "{bytes:,.0f}",
-    "of anchors": "{anchor_bytes:,.0f}",
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
+    "held back": "{held_back_db:.2f}",
     "SSIM": "{ssim:.4f}",
+    "training s": "{train_seconds:.0f}",
 }
 AGAINST = {
-    "against": "{name}",
-    "dB": "{low:.2f} to {high:.2f}",
-    "times our bytes, least": "{least:.2f}",
-    "median": "{median:.2f}",
-    "BD-rate of ours": "{bd_rate}",
-}
-BEST = {
     "scene": "{scene}",
-    "dB": "{psnr_db:.2f}",
-    "bytes": "{bytes:,.0f}",
-    "its dB": "{their_psnr_db:.2f}",
-    "its bytes": "{their_bytes:,.0f}",
-    "ours minus its": "{psnr_gain:+.2f}",
+    "against": "{against}",
+    "others": "{name}",
+    "storage": "{storage}",
+    "dB": "{low:.2f} to {high:.2f}",
+    "times the bytes, least": "{least:.2f}",
+    "median": "{median:.2f}",
+    "±": "{median_spread:.2f}",
+    "BD-rate %": "{bd_rate:+.0f}",
 }
 # Table 4: its rows, the sections of a file that they are, and the percent of the paper's two files
 # of T-Rex, at a low and at a high rate.
@@ -100,83 +118,117 @@ TABLE_4 = {
 def plan(scenes, folder, names=(), seeds=3, iterations=None):
     """The Tasks of all points.
 
-    `names` are those of methods, nothing means all; our two designs are always there. Raises
-    StudyError for an unknown method.
+    `names` are those of methods, nothing means all; our two designs are always there. Without
+    `iterations` the trainings have both LENGTHS. Raises StudyError for an unknown method.
     """
     names = methods.known([*OUR_PRESETS, *(names or baselines.METHODS)])
-    return methods.plan(SIZES, names, scenes, folder, seeds, iterations, "compare --curve")
+    lengths = [iterations] if iterations else LENGTHS
+    tasks = [
+        task
+        for length in lengths
+        for task in methods.plan(
+            SIZES, names, scenes, folder, seeds, length, "compare --curve", STORAGES
+        )
+        if task.seed == 0 or task.method not in ONE_SEED and length == lengths[0]
+    ]
+    return sorted(tasks, key=lambda task: task.seed)
 
 
 def collect(tasks, folder):
     """Draw what the Tasks have made; returns the points and how ours compare with the others.
 
-    The files are curve.csv, curve.png, and composition.csv of two files of the first scene.
+    The files are curve.csv, curve.png, composition.csv of two files of the first scene, and
+    hundredfold.csv and .png where the Tasks have its scenes.
     """
     rows = methods.made(tasks)
+    ours = [task for task in tasks if task.method == OURS and task.storage == AS_STORED][:2]
+    if len(methods.made(ours)) < 2:
+        expected = " and ".join(task.label for task in ours)
+        raise StudyError(f"{ours[0].folder}: expected the rows of {expected}, from --curve")
     write_csv(folder / "curve.csv", rows)
-    points, curves, title = read(rows)
-    edge = curves[EDGE]
-    draw_curves(folder / "curve.png", points, edge, literal(title))
-    parts = composition([task.path for task in tasks[:2]])
+    draw_curves(folder / "curve.png", rows)
+    curves = curves_of(points_of(rows))
+    parts = composition([task.path for task in ours])
     write_csv(folder / "composition.csv", parts)
+    steps = hundredfold.steps(rows)
+    if steps:
+        write_csv(folder / "hundredfold.csv", steps)
+        hundredfold.draw_steps(folder / "hundredfold.png", steps)
     return {
-        "title": title,
+        "title": title_of(rows),
         "rows": rows,
-        "points": points,
-        "envelope": [
-            row["label"] for row in points if [row["bytes"], row["psnr_db"]] in edge.tolist()
-        ],
-        "against": [
-            against(name, curves[CODED], curve)
-            for name, curve in curves.items()
-            if len(curve) and name != CODED
-        ],
-        "best": best(rows, points),
-        "composition": {"lambda_rate": [row["lambda_rate"] for row in rows[:2]], "rows": parts},
+        "points": points_of(rows),
+        "envelopes": {
+            storage: [point["label"] for point in curves[ENVELOPE, storage]]
+            for storage in (AS_STORED, ALIKE)
+        },
+        "against": comparisons(rows),
+        "hundredfold": steps,
+        "composition": {
+            "lambda_rate": [methods.preset_of(task).lambda_rate for task in ours],
+            "rows": parts,
+        },
     }
 
 
-def read(rows):
-    """The points of rows, the curves {name: points} with the envelope first, and a title."""
-    points = means(rows, "label", "method")
-    curves = {
-        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
-        for name in dict.fromkeys(row["method"] for row in points)
-    }
-    edge = envelope([curve for name, curve in curves.items() if name not in OUR_PRESETS])
-    title = f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
-    return points, {EDGE: edge, **curves}, title
+def title_of(rows):
+    """The scenes and the seeds of rows."""
+    return f"{', '.join(dict.fromkeys(row['scene'] for row in rows))}; {seeds_of(rows)}"
 
 
-def against(name, ours, others):
-    """The factors of others' bytes over ours, and the BD-rate of ours or why there is none."""
-    rate, reason = bd_rate(ours, others)
-    return {"name": name, **factors(ours, others), "bd_rate": reason or f"{rate:+.1f} %"}
+def curves_of(points):
+    """The best points of each method and storage, and of all explicit methods.
 
-
-def best(rows, points):
-    """Our best point of at most MAX_BYTES beside the best of RIVAL; a row for each scene.
-
-    Both are chosen by the mean over the scenes. Without one of them there is no row.
+    {(method, storage): points}; our coded design, which is stored in one way, is in both storages.
     """
-    groups = [
-        [row for row in points if row["method"] == CODED and row["bytes"] <= MAX_BYTES],
-        [row for row in points if row["method"] == RIVAL],
-    ]
-    if not all(groups):
-        return []
-    pair = [max(group, key=lambda row: row["psnr_db"])["label"] for group in groups]
-    by_scene = [means([row for row in rows if row["label"] == one], "scene") for one in pair]
-    return [
-        {
-            **ours,
-            "their_psnr_db": other["psnr_db"],
-            "their_bytes": other["bytes"],
-            "psnr_gain": ours["psnr_db"] - other["psnr_db"],
-            "points": " against ".join(pair),
-        }
-        for ours, other in zip(*by_scene)
-    ]
+    curves = {}
+    for storage in (AS_STORED, ALIKE):
+        for method in (*SIZES, ENVELOPE):
+            named = baselines.METHODS if method == ENVELOPE else [method]
+            stored = AS_STORED if method == CODED else storage
+            chosen = [p for p in points if p["method"] in named and p["storage"] == stored]
+            curves[method, storage] = best(chosen)
+    return curves
+
+
+def pairs_of(points):
+    """The curve (bytes, PSNR) of some points."""
+    return [(point["bytes"], point["psnr_db"]) for point in points]
+
+
+def comparisons(rows):
+    """How many times the bytes of ours the others need, in the mean and on each scene.
+
+    Against our coded design and against the paper's, whose networks are coded alike. Half the range
+    of the median over the seeds that all have is `median_spread`.
+    """
+    scenes, seeds = ([*dict.fromkeys(row[name] for row in rows)] for name in ("scene", "seed"))
+    found = []
+    for scene in [MEAN, *(scenes if len(scenes) > 1 else ())]:
+        own = [row for row in rows if scene in (MEAN, row["scene"])]
+        curves = curves_of(points_of(own))
+        each = [curves_of(points_of([r for r in own if r["seed"] == seed])) for seed in seeds]
+        for ours in (CODED, OURS):
+            for (method, storage), points in curves.items():
+                if method not in OUR_PRESETS or (method, ours) == (OURS, CODED):
+                    pairs = [(one[ours, ALIKE], one[method, storage]) for one in (curves, *each)]
+                    row = against(*pairs[0])
+                    medians = [against(*pair).get("median") for pair in pairs[1:] if all(pair)]
+                    if row and len(medians) > 1 and None not in medians:
+                        row["median_spread"] = float(np.ptp(medians) / 2)
+                    if row:
+                        names = dict(scene=scene, against=ours, name=method, storage=storage)
+                        found.append({**names, **row})
+    return found
+
+
+def against(ours, others):
+    """The factors of others' bytes over ours, and the BD-rate of ours in percent or None."""
+    if not ours or not others:
+        return {}
+    curves = pairs_of(ours), pairs_of(others)
+    found = factors(*curves)
+    return found and {**found, "bd_rate": bd_rate(*curves)[0]}
 
 
 def composition(files):
@@ -204,49 +256,63 @@ def composition(files):
 
 
 @styled()
-def draw_curves(path, points, edge, title):
-    """PSNR over the bytes of the file, and over those of the coded anchors alone."""
+def draw_curves(path, rows):
+    """PSNR over the bytes of the file: as stored by the authors to the left, coded alike right."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-    figure, axes = subplots(1, 2, figsize=(11, 5), sharey=True, width_ratios=(2, 1))
-    axes[0].plot(*edge.T, "--", color="gray", label="envelope of the explicit methods")
-    for ax, (size, label) in zip(axes, DRAWN.items()):
-        ax.set(xscale="log", xlabel=label)
+    points = points_of(rows)
+    curves = curves_of(points)
+    figure, axes = subplots(1, 2, figsize=(13, 6), sharey=True, width_ratios=(1.25, 1))
+    titles = {AS_STORED: "files as the authors store them", ALIKE: "all files coded alike"}
+    for ax, (storage, title) in zip(axes, titles.items()):
+        ax.set(xscale="log", xlabel="bytes of the file", title=title)
         ax.xaxis.set(
             major_locator=LogLocator(subs=(1, 2, 5)),
             major_formatter=EngFormatter(sep=""),
             minor_formatter=NullFormatter(),
         )
-        for method in dict.fromkeys(row["method"] for row in points if size in row):
-            rows = [row for row in points if row["method"] == method]
-            x, y, spread = ([r[name] for r in rows] for name in (size, "psnr_db", "psnr_db_spread"))
-            ax.errorbar(x, y, spread, fmt="o", color=COLORS[method], label=method)
-            ax.plot(*front(zip(x, y)).T, color=COLORS[method], alpha=0.5)
-    axes[0].set(ylabel="PSNR of the test views (dB)", title=title)
-    axes[1].legend(
-        *axes[0].get_legend_handles_labels(), loc="lower right", frameon=False, fontsize=10
-    )
+        for (method, stored), chosen in curves.items():
+            if stored == storage and chosen:
+                draw_curve(ax, method, chosen)
+    axes[0].set(ylabel="PSNR of the test views (dB)")
+    handles = {text: handle for ax in axes for handle, text in zip(*ax.get_legend_handles_labels())}
+    figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(literal(title_of(rows)), fontsize=13)
     save_figure(figure, path)
 
 
+def draw_curve(ax, method, chosen):
+    """One curve; the bars are the spread over seeds."""
+    x, y, spread = ([p[name] for p in chosen] for name in ("bytes", "psnr_db", "psnr_db_spread"))
+    if method == ENVELOPE:
+        ax.plot(x, y, color="gray", linewidth=6, alpha=0.3, label=NAMES[method], zorder=0)
+    else:
+        form = dict(fmt="o-", color=COLORS[method], markersize=5, label=NAMES[method])
+        ax.errorbar(x, y, spread, **form)
+
+
 def to_text(result):
-    """The points, ours against the others, the best small point by scene, and Table 4 in form."""
+    """The points, ours against the others, and Table 4 in form."""
     days = sorted(row["made"] for row in result["rows"])
-    lines = [
-        f"{result['title']}; made {days[0]} to {days[-1]}. Every point is a mean.",
-        BASELINES,
-        *text_table(COLUMNS, result["points"]),
-        f"The envelope of the explicit methods: {', '.join(result['envelope']) or 'none'}.",
-        "",
-        f"Others against {CODED}, at every PSNR that both reach:",
-        *text_table(AGAINST, result["against"]),
-    ]
-    if result["best"]:
-        lines += ["", f"At most {MAX_BYTES:,} bytes: {result['best'][0]['points']}"]
-        lines += text_table(BEST, result["best"])
     low, high = result["composition"]["lambda_rate"]
-    lines += [
-        "",
-        f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
+    edges = [
+        f"The envelope of the explicit methods, {storage}: {', '.join(labels) or 'none'}."
+        for storage, labels in result["envelopes"].items()
     ]
-    return "\n".join([*lines, *text_table(TABLE_4, result["composition"]["rows"])])
+    return "\n".join(
+        [
+            f"{result['title']}; made {days[0]} to {days[-1]}. Every point is a mean.",
+            BASELINES,
+            *text_table(COLUMNS, result["points"]),
+            *edges,
+            "",
+            f"Bytes of others at equal PSNR against {CODED}, and against {OURS} with networks "
+            "coded alike, at every PSNR that both reach. The BD-rate is that of ours, where both "
+            "curves have three points and overlap:",
+            *text_table(AGAINST, result["against"]),
+            "",
+            *hundredfold.to_lines(result["hundredfold"]),
+            f"The paper's Table 4: what a file consists of at lambda_rate {low:g} and {high:g}",
+            *text_table(TABLE_4, result["composition"]["rows"]),
+        ]
+    )

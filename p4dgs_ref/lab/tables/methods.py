@@ -6,6 +6,9 @@ makes this file. It lies as JSON beside the file, in a folder that is named afte
 scene's views, effects and background, and the length of the trainings. A row that is there is not
 made again, so a killed study goes on, takes what another one has made, and can grow by scenes,
 seeds and methods. Such a row is compared with its own checksum and with its file before it is used.
+
+One training gives several files, which differ in their storage: as the authors of the method store
+it, in float16, or coded alike (`baselines.coded`).
 """
 
 import hashlib
@@ -21,6 +24,7 @@ import numpy as np
 from ... import __version__, designs, output
 from ... import model as paper
 from ...arithmetic import arithmetic
+from ...attributes import ATTRIBUTES
 from ...codec.file import ATTRIBUTE_SECTIONS
 from ...designs import PRESETS, choose, decode, encode
 from ...model import CONTEXT_NETWORKS, Anchors, bounding_box
@@ -35,12 +39,16 @@ from ...training.parameters import Parameters
 from ...training.presets import TINY_REAL, differences
 from .. import StudyError, baselines, entry
 from ..accuracy.harness import shortened
-from ..baselines import d3dgs_network
+from ..baselines import coded, coded_anchors, d3dgs_network, half
 from ..clock import clocked
+from ..validation import held_back
 
 OURS = "p4dgs"
 CODED = "p4dgs_coded"  # with coded networks and positions, beyond the paper
 OUR_PRESETS = {OURS: "tiny", CODED: "tiny_coded"}
+AS_STORED, HALF, ALIKE = "as stored", "float16", "coded alike"  # the storage of a file
+ENDINGS = {AS_STORED: "ply", HALF: "half", ALIKE: "coded"}  # of the files of baselines
+PLAIN_ENDINGS = {AS_STORED: "npy", ALIKE: "anchors"}  # of plain files of our models
 KNOBS = ("lambda_rate", "sh_degree")  # fields of presets that stand in the rows
 # The fields of the baselines' presets that are counted in iterations.
 DATES = (
@@ -56,9 +64,10 @@ DATES = (
 )
 # The fields of a row. Some presets lack KNOBS, and only our own files have the last four.
 FIELDS = (
-    *("method", "scene", "seed", "psnr_db", "bytes", "label", *KNOBS),
-    *("ssim", "psnr_fg_db", "anchors", "gaussians"),
-    *("gaussians_bytes", "network_bytes", "other_bytes", "file", "iterations", "train_seconds"),
+    *("method", "scene", "seed", "psnr_db", "bytes", "label", "storage", "loss", *KNOBS),
+    *("held_back_db", "ssim", "psnr_fg_db", "anchors", "gaussians"),
+    *("gaussians_bytes", "network_bytes", "other_bytes", "zlib_bytes", "file"),
+    *("iterations", "train_seconds"),
     *("made", "arithmetic", "release", "sha256", "command"),
     *("estimated_bytes", "anchor_bytes", "positions_bytes", "deformation_bytes"),
 )
@@ -79,6 +88,13 @@ class Task(NamedTuple):
     network: dict = {}  # fields of the Design that are those of D3DGS's network
     zeros: tuple = ()  # parameters that start at zero
     plain: tuple | None = None  # in a plain file; the networks that are float16 there
+    storage: str = AS_STORED  # another one is made of the file that is stored so
+    loss: float | None = None  # of what is coded alike
+
+    @property
+    def trained(self):
+        """The task of the training, and of its file as the authors of the method store it."""
+        return self._replace(storage=AS_STORED, loss=None)
 
     @property
     def is_ours(self):
@@ -88,21 +104,25 @@ class Task(NamedTuple):
     @property
     def label(self):
         """The name of its rows: the step, or the method and its changes as `--set` takes them."""
-        changed = (f" {field}={value}" for field, value in self.changes.items())
-        return self.step or self.method + "".join(changed)
+        changed = [f" {field}={value}" for field, value in self.changes.items()]
+        storage = {AS_STORED: "", ALIKE: f" loss={self.loss:g}" if self.loss else ""}
+        name = self.step or "".join([self.method, *changed])
+        return name + storage.get(self.storage, f" {self.storage}")
 
     @property
     def path(self):
         """The file."""
         name = f"{self.scene.name} {self.label} seed{self.seed}".replace("+ ", "")
-        ending = ("p4dgs" if self.plain is None else "npy") if self.is_ours else "ply"
+        ending = (PLAIN_ENDINGS if self.is_ours else ENDINGS)[self.storage]
+        if self.is_ours and self.plain is None:
+            ending = "p4dgs"
         return Path(self.folder) / f"{name.replace(' ', '_').replace('/', '_')}.{ending}"
 
     @property
     def command(self):
         """What makes the file: one training of ours, else the study of which it is a row."""
         scene, seed = self.scene.name, self.seed
-        if self.is_ours and not self.step:
+        if self.is_ours and not self.step and self.storage == AS_STORED:
             preset = preset_of(self)
             changes = "".join(
                 f" --set {field}={text_of(value)}"
@@ -158,10 +178,11 @@ def preset_of(task):
     return replace(theirs, **{name: max(round(share * n), n > 0) for name, n in dates.items()})
 
 
-def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare"):
+def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare", storages=None):
     """The Tasks of some methods, for each of its `sizes` {method: [changes of the preset]}.
 
-    All scenes with one seed come before the next seed.
+    All scenes with one seed come before the next seed. `storages` are further ones of the same
+    trainings, {method: [(storage, loss)]}.
     """
     length = "" if iterations is None else f"_{iterations}"
     sums = [
@@ -170,12 +191,26 @@ def plan(sizes, names, scenes, folder, seeds=3, iterations=None, study="compare"
     ]
     places = [(scene, f"points_{crc:08x}{length}") for scene, crc in zip(scenes, sums)]
     return [
-        Task(scene, method, seed, Path(folder) / place, iterations, changes, study)
+        Task(
+            *(scene, method, seed, Path(folder) / place, iterations, changes, study),
+            storage=storage,
+            loss=loss,
+        )
         for seed in range(seeds)
         for scene, place in places
         for method in names
         for changes in sizes[method]
+        for storage, loss in ((AS_STORED, None), *(storages or {}).get(method, ()))
     ]
+
+
+def part_of(tasks, i, n):
+    """Every n-th training of some tasks, beginning with the i-th, and all files made of it.
+
+    The parts of n processes are disjoint, also where rows are made meanwhile.
+    """
+    places = {path: j for j, path in enumerate(dict.fromkeys(t.trained.path for t in tasks))}
+    return [task for task in tasks if places[task.trained.path] % n == i]
 
 
 def trainer_of(task):
@@ -208,6 +243,8 @@ def fit(task):
 
 def write(task, model):
     """Write the file of a task; returns its bytes by kind."""
+    if task.storage != AS_STORED:
+        return write_again(task, model)
     if not task.is_ours:
         return model.save(task.path)
     if task.plain is not None:
@@ -215,6 +252,29 @@ def write(task, model):
     data = encode(model)
     output.write_atomically(task.path, lambda file: file.write(data))
     return kinds(components(data))
+
+
+def write_again(task, model):
+    """Write a trained model in another storage; returns its bytes by kind.
+
+    Of the paper's design only the networks change; its anchors are coded already.
+    """
+    if task.is_ours and task.plain is None:
+        data = encode(coded_anchors.with_steps(model, *held_back_of(task), task.loss))
+        sizes = kinds(components(data))
+    elif task.storage == HALF:
+        data, sizes = half.encode(model)
+    else:
+        model = coded_anchors.OfAnchors(model) if task.is_ours else model
+        H = coded.sensitivity(model, *held_back_of(task))
+        data, sizes = coded.encode(model, H, task.loss)
+    output.write_atomically(task.path, lambda file: file.write(data))
+    return sizes
+
+
+def held_back_of(task):
+    """The held-back views of a task, and the generator of the signs of the sensitivity."""
+    return held_back(task.scene), np.random.default_rng(0)
 
 
 def kinds(sizes):
@@ -236,22 +296,30 @@ def load(path):
     """The model in a file of any method."""
     if path.suffix == ".p4dgs":
         return decode(path.read_bytes())
+    if path.suffix == f".{PLAIN_ENDINGS[ALIKE]}":
+        return of_anchors(*coded.decode(path.read_bytes()))
     return (load_plain if path.suffix == ".npy" else baselines.load)(path)
 
 
 def make(task):
     """Train, write the file, read it back and measure it; the row, which is also written.
 
-    `train_seconds` are processor time.
+    `train_seconds` are processor time. Another storage is made of the file of its training.
     """
-    model, (seconds, _) = clocked(fit, task)
+    if task.storage != AS_STORED:
+        model, seconds = load(task.trained.path), row_of(task.trained)["train_seconds"]
+    else:
+        model, (seconds, _) = clocked(fit, task)
     with output.made(task.folder):
         sizes = write(task, model)
-    metrics, _, _ = evaluate(load(task.path), task.scene)
+    model = load(task.path)
+    metrics, _, _ = evaluate(model, task.scene)
+    choice, _, _ = evaluate(model, replace(task.scene, test=held_back(task.scene)))
     found = {
         **known_of(task),
         **metrics,
-        "bytes": sum(sizes.values()),
+        "held_back_db": choice["psnr_db"],
+        "bytes": task.path.stat().st_size,
         **{f"{kind}_bytes": size for kind, size in sizes.items()},
         "train_seconds": float(seconds),
         "made": f"{date.today()}",
@@ -290,9 +358,13 @@ def make_missing(tasks, progress=lambda line: None, jobs=1, agree=lambda trainer
     for task in tasks:
         require(task.scene.test, f"scene {task.scene.name}", "split 'test': no views to measure on")
     missing = [task for task in tasks if row_of(task) is None]
-    agree(trainers(missing), min(jobs, len(missing)))
-    for done, _ in enumerate(in_processes(make, missing, jobs), 1):
-        progress(f"{done} of {len(missing)} trainings")
+    needed = {task.trained.path: task.trained for task in missing}
+    trainings = [task for task in needed.values() if row_of(task) is None]
+    agree(trainers(trainings), min(jobs, len(trainings)))
+    again = [task for task in missing if task.storage != AS_STORED]
+    for kind, group in (("trainings", trainings), ("files", again)):
+        for done, _ in enumerate(in_processes(make, group, jobs), 1):
+            progress(f"{done} of {len(group)} {kind}")
 
 
 def made(tasks):
@@ -333,6 +405,8 @@ def known_of(task):
         "scene": task.scene.name,
         "seed": task.seed,
         "label": task.label,
+        "storage": task.storage,
+        **({"loss": task.loss} if task.loss else {}),
         **{name: getattr(preset, name) for name in KNOBS if hasattr(preset, name)},
         "file": task.path.name,
         "iterations": preset.iterations,
@@ -374,10 +448,25 @@ def load_plain(path):
     record = np.load(path)
     *names, _ = record.dtype.names
     p = Parameters({name: record[name] for name in names}, float)
-    attributes = [p[name] for name in Anchors._fields[:-1]]
-    anchors = Anchors(*attributes, mask=np.ones(p["O_a"].shape[:2], bool))
-    networks = dict.fromkeys(name.split(".")[0] for name in names if "." in name)
-    design = literal_eval(record["design"].item().decode())
+    attributes = {name: p[name] for name in Anchors._fields[:-1]}
+    return plain_model(p, attributes, record["design"].item().decode(), p["background"])
+
+
+def of_anchors(p, values):
+    """The model in such a file that is coded alike, from what `coded.decode` returns."""
+    attributes = {
+        row.name: np.exp(p[row.parameter]) if row.is_log else p[row.parameter] for row in ATTRIBUTES
+    }
+    background = np.array(values["background"])
+    return plain_model(p, {"x_a": p["x"], **attributes}, values["design"], background)
+
+
+def plain_model(p, attributes, design, background):
+    """A model of all children of some anchors, of networks in p, and of a Design as a text."""
+    design = literal_eval(design)
+    names = dict.fromkeys(name.split(".")[0] for name in p.arrays if ".W" in name)
+    anchors = Anchors(**attributes, mask=np.ones(attributes["O_a"].shape[:2], bool))
+    networks = {name: p.network(name) for name in names}
     form = d3dgs_network if "time_net" in design else paper
-    box, networks = bounding_box(anchors.x_a), {name: p.network(name) for name in networks}
-    return form.Model(form.Design(**design), anchors, networks, [], box, p["background"])
+    box = bounding_box(anchors.x_a)
+    return form.Model(form.Design(**design), anchors, networks, [], box, background)

@@ -55,10 +55,11 @@ def simulate(
             progress(done, len(named))
 
 
-def place_cameras(description, split):
+def place_cameras(description, split, shift=0.5):
     """The (camera, time) of every view of a split, in the order of time.
 
-    Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
+    Training views are at even times from 0 to 1, test views half-way between even times; another
+    `shift` than half a step gives further views. Cameras of
     the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
     very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
     cameras.
@@ -67,8 +68,8 @@ def place_cameras(description, split):
     low, high = paths.elevation
     posed = []
     for i in range(n):
-        t = i / max(n - 1, 1) if split == "train" else (i + 0.5) / n
-        step = i if split == "train" else i + 0.5
+        t = i / max(n - 1, 1) if split == "train" else (i + shift) / n
+        step = i if split == "train" else i + shift
         azimuth, height = GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1
         if paths.kind == "orbit" and split == "train":
             azimuth, height = paths.turns * t, 0.5 + 0.5 * math.sin(4 * math.pi * t)

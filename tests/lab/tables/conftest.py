@@ -7,7 +7,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.lab.tables import ablate, compare, curve, methods
 
-from .shared import CURVE, OTHERS
+from .shared import CURVE, FEW, OTHERS, STORAGES
 
 
 @pytest.fixture(scope="session")
@@ -38,13 +38,17 @@ def ablated(scene, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def drawn(scene, tmp_path_factory):
-    """The folder, tasks and result of a small curve; its third point was killed half-way."""
+    """The folder, tasks and result of a small curve; its third training was killed half-way."""
     folder = tmp_path_factory.mktemp("curve")
-    tasks = curve.plan([scene], folder, *CURVE.values())
-    methods.make_missing(tasks[:3])
-    tasks[2].record.unlink()
-    kept = {task.path: task.path.stat().st_mtime_ns for task in tasks[:3]}
-    methods.make_missing(curve.plan([scene], folder, *CURVE.values()))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(curve, "SIZES", FEW)
+        patch.setattr(curve, "STORAGES", STORAGES)
+        tasks = curve.plan([scene], folder, *CURVE.values())
+    trained = [task for task in tasks if task == task.trained]
+    methods.make_missing(trained[:3])
+    trained[2].record.unlink()
+    kept = {task.path: task.path.stat().st_mtime_ns for task in trained[:3]}
+    methods.make_missing(tasks)
     changed = [path for path, time in kept.items() if path.stat().st_mtime_ns != time]
-    assert changed == [tasks[2].path]
+    assert changed == [trained[2].path]
     return folder, tasks, curve.collect(tasks, folder)

@@ -196,12 +196,12 @@ def test_the_command_of_a_row_makes_its_file(changes, tmp_path, monkeypatch, cap
 
 def test_the_command_of_a_row_of_a_study_plans_its_task(scene, tmp_path):
     for plan, study, asked in (
-        (compare.plan, "compare", ([scene], tmp_path, ["hexplane"], 3, 9)),
-        (curve.plan, "compare --curve", ([scene], tmp_path, ["hexplane"], 3, 9)),
+        (compare.plan, "compare", ([scene], tmp_path, ["d3dgs_small"], 3, 9)),
+        (curve.plan, "compare --curve", ([scene], tmp_path, ["d3dgs_small"], 3, 9)),
         (ablate.plan, "ablate", (scene, tmp_path, 3, 9)),
     ):
         task = next(t for t in plan(*asked) if t.seed == 1 and (t.step or not t.is_ours))
-        method = " --method hexplane" * (study != "ablate")
+        method = " --method d3dgs_small" * (study != "ablate")
         assert task.command == (
             f"p4dgs-ref {study} bouncing{method} --seeds 2 --iterations 9 --yes"
         )

@@ -4,7 +4,8 @@ In a page, `<!-- from records/curve.csv: label d3dgs; scene figure -->` stands b
 before sentences, up to the next blank line or comment, whose numerals come from the rows with these
 values: entries, means over seeds and scenes with half their range, differences and ratios between
 the named labels. `factors` are those of the bytes of all methods at equal PSNR, and the BD-rates;
-`factors of p4dgs` are against the paper's design instead of ours.
+`factors of p4dgs` are against the paper's design instead of ours, and `hundredfold` are the steps
+from the file of D3DGS to ours.
 """
 
 import re
@@ -13,9 +14,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.tables import ablate, curve
+from p4dgs_ref.lab import writer
+from p4dgs_ref.lab.tables import ablate, curve, hundredfold
 from p4dgs_ref.lab.tables.methods import CODED
-from p4dgs_ref.lab.writer import means
+from p4dgs_ref.lab.writer import bd_rate, means
 from tests.budget import ROOT
 from tutorials.tools import records
 
@@ -27,6 +29,7 @@ MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=\n\n|<!-
 NUMERAL = re.compile(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
 UNQUOTED = re.compile(r"`[^`]*`|\]\([^)]*\)")  # names and links
 QUANTITIES = ("psnr_db", "ssim", "lambda_rate", "iterations", "anchors", "gaussians")
+ABOUT_ALL = ("factors", "hundredfold")
 QUOTES = [
     pytest.param(page, *quote, id=f"{page}: {' '.join(quote[2].split())[:30]}")
     for page in PAGES
@@ -103,14 +106,15 @@ def steps(rows, labels):
 
 def factors(rows, base=CODED):
     """How one curve compares with every other one, in bytes at equal PSNR."""
-    _, curves, _ = curve.read(rows)
-    found = set()
-    for name, other in curves.items():
-        if len(other):
-            row = curve.against(name, curves[base], other)
-            found |= {value for value in row.values() if isinstance(value, float)}
-            found |= {*map(float, re.findall(r"(\d+\.\d) %", row["bd_rate"]))}
-    return found
+    if "storage" in rows[0]:
+        found = [row for row in curve.comparisons(rows) if row["against"] == base]
+        return {value for row in found for value in row.values() if isinstance(value, float)}
+    curves = {}
+    for row in means(rows, "label", "method"):
+        curves.setdefault(row["method"], []).append((row["bytes"], row["psnr_db"]))
+    ours = curves.pop(base)
+    rates = {bd_rate(ours, other)[0] for other in curves.values()}
+    return rates.union(*(writer.factors(ours, other).values() for other in curves.values()))
 
 
 def numbers(name, terms, rows, labels):
@@ -118,7 +122,12 @@ def numbers(name, terms, rows, labels):
     own = [row for row in rows if row["label"] in labels]
     for term in terms:
         if term.startswith("factors"):
-            return factors(own, *term.split(" of ")[1:])
+            return factors(own, *term.split(" of ")[1:]) | {row["iterations"] for row in own}
+        if term == "hundredfold":
+            of_steps = hundredfold.steps(own)
+            found = {value for row in of_steps for value in row.values()}
+            found |= {1 / row["factor"] for row in of_steps if "factor" in row}  # what grows
+            return {value for value in found if isinstance(value, float)}
     if name == "ablate":
         return entries(own) | steps(records.rows(name), labels)
     return entries(own) | (pairs(own) if "label " in " ".join(terms) else set())
@@ -134,7 +143,7 @@ def is_in(numeral, found):
 def unfound(name, terms, text):
     """The numerals of a text that are not in the record, each with its sentence; how many are."""
     terms = terms.split("; ") if terms else []
-    rows = chosen(records.rows(name), [term for term in terms if not term.startswith("factors")])
+    rows = chosen(records.rows(name), [term for term in terms if not term.startswith(ABOUT_ALL)])
     found, missing = {}, []
     for sentence, labels in sentences(text, [*dict.fromkeys(row["label"] for row in rows)]):
         allowed = found.setdefault(tuple(labels), numbers(name, terms, rows, labels))

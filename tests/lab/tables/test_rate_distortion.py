@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab.writer import bd_rate, bytes_at, envelope, front
+from p4dgs_ref.lab.writer import bd_rate, bytes_at, front
 
 SIZES, PSNR = np.array([100.0, 200.0, 400.0, 800.0]), np.array([30.0, 32.0, 33.0, 33.5])
 
@@ -35,11 +35,6 @@ def test_reasons():
     assert rate is None and "30.00 to 33.50 dB and 33.00 to 36.50 dB" in reason
     worse = [*curve, (500.0, 31.0), (900.0, 33.5)]
     assert np.array_equal(front(worse), curve)
-
-
-def test_an_envelope_is_no_worse_than_any_of_its_curves():
-    one, other = [(100, 30.0), (300, 34.0)], [(250, 30.5), (280, 31.0), (400, 35.0)]
-    assert envelope([one, other]).tolist() == [[100, 30], [300, 34], [400, 35]]
 
 
 def test_bytes_between_two_points():

@@ -1,0 +1,433 @@
+# %% [markdown]
+# # From where on prediction pays
+#
+# On the tiny scenes, explicit Gaussians that are coded as well as ours need about as many bytes.
+# The paper's scenes have far more detail. This script makes one scene at 64, 128 and 256 pixels,
+# whose patterns become finer with the size, and compares the bytes of both at equal PSNR. It is the
+# record of a measurement, not a lesson with exercises.
+#
+#     python tutorials/growing_detail.py cost        the hours that the missing trainings take
+#     python tutorials/growing_detail.py make        train what is missing
+#     python tutorials/growing_detail.py make 0/4    part 0 of 4, for four processes at once
+#     python tutorials/growing_detail.py collect     write tutorials/records/growing_detail.csv
+#     python tutorials/growing_detail.py             count numbers, read this record, draw it
+#
+# Trainings lie in `report/growing_detail`, so what was stopped goes on there.
+#
+# **Files:** [simulator](../p4dgs_ref/scenes/simulator/__init__.py) (the scenes),
+# [methods.py](../p4dgs_ref/lab/tables/methods.py) (one training and its files),
+# [coded.py](../p4dgs_ref/lab/baselines/coded.py) (the codec of the explicit Gaussians).
+
+# %%
+import p4dgs_ref
+
+p4dgs_ref.prepare()  # the same numbers everywhere; before NumPy is imported
+
+# %%
+import csv
+import os
+import re
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+from p4dgs_ref import lessons
+from p4dgs_ref.designs import PRESETS, trainer_class
+from p4dgs_ref.lab.baselines import choose, d3dgs
+from p4dgs_ref.lab.clock import clocked
+from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.lab.tables.methods import ALIKE, CODED
+from p4dgs_ref.lab.writer import aligned, bytes_at, factors, front, means, twice_standard_error
+from p4dgs_ref.model import LATTICE, declared_numbers
+from p4dgs_ref.report.figures import BLUE, RED, write_csv
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.simulator import simulate
+
+FOLDER = Path("report/growing_detail")
+RECORD = Path(__file__).parent / "records" / "growing_detail.csv"
+
+# %% [markdown]
+# ## The scenes
+# Five patterned, slightly polished balls bounce and spin on a chequered slab. A field of the slab
+# and a stripe of the balls have the same width in pixels at every size, so twice the size has four
+# times as many fields and twice as many stripes. The cameras of 48 training and 10 test views are
+# the same at every size.
+
+# %%
+SMALLEST = 64  # pixels, at which a field of the slab is FIELD wide, in scene units
+FIELD, STRIPE = 0.24, 0.18
+BALLS = (  # places on the slab and colours
+    ((0.0, 0.0), (0.86, 0.3, 0.25)),
+    ((0.55, 0.3), (0.25, 0.5, 0.8)),
+    ((-0.5, 0.4), (0.9, 0.75, 0.3)),
+    ((-0.4, -0.5), (0.35, 0.7, 0.4)),
+    ((0.45, -0.5), (0.7, 0.4, 0.75)),
+)
+
+
+def described(size):
+    """The scene.json of a size, as a dictionary."""
+    finer = SMALLEST / size
+    field = {"kind": "checker", "color": [0.35, 0.4, 0.5], "cell": FIELD * finer, "axes": "xy"}
+    slab = {
+        "name": "slab",
+        "shape": {"kind": "box", "half": [0.95, 0.95, 0.06]},
+        "position": [0, 0, -0.55],
+        "color": [0.85, 0.83, 0.78],
+        "texture": field,
+    }
+    balls = [
+        {
+            "name": f"ball {i}",
+            "shape": {"kind": "sphere", "radius": 0.22},
+            "position": [*place, -0.27],
+            "color": list(color),
+            "specular": {"strength": 0.4, "exponent": 20},
+            "texture": {
+                "kind": "stripes",
+                "color": [0.95, 0.95, 0.9],
+                "period": STRIPE * finer,
+                "direction": [1, 0.4 * i, 1 - 0.5 * i],
+            },
+            "motion": [
+                {"kind": "bounce", "height": 0.3, "phase": i / len(BALLS)},
+                {"kind": "spin", "axis": [0, 0.3 * i, 1], "degrees": 60},
+            ],
+        }
+        for i, (place, color) in enumerate(BALLS)
+    ]
+    lens = {"fl_x": 1.34 * size, "fl_y": 1.34 * size, "cx": size / 2, "cy": size / 2}
+    cameras = {"kind": "scattered", "train": 48, "test": 10, "radius": 3.6, "elevation": [10, 60]}
+    moving = ["translation", "rotation", "view_color", "view_geometry"]
+    drawn = ["texture", "diffuse", "specular", "occlusion", "background"]
+    return {
+        "title": f"five patterned balls on a slab, {size} pixels",
+        "license": "CC0-1.0",
+        "effects": moving + drawn,
+        "resolution": [size, size],
+        "lens": lens,
+        "cameras": {**cameras, "target": [0, 0, -0.2]},
+        "light": {"kind": "point", "position": [1.5, -1.0, 3.0], "ambient": 0.5},
+        "bodies": [slab, *balls],
+    }
+
+
+def scene_of(size):
+    """The scene of a size, simulated where it is not there yet; several processes may do so."""
+    place = FOLDER / "scenes" / f"detail_{size}"
+    if not place.exists():
+        own = place.with_name(f"{place.name}.{os.getpid()}")
+        simulate(described(size), own)
+        try:
+            own.rename(place)
+        except OSError:  # another process was faster
+            shutil.rmtree(own)
+    return load_scene(place)
+
+
+# %% [markdown]
+# ## The trainings
+# Explicit: D3DGS with a deformation network of our size, stored *coded alike* after training with a
+# few losses, each a point of the curve. Ours: the design with coded networks, four children an
+# anchor (`tiny_coded`) and single children (`small_coded`, features of 8 numbers), over anchors and
+# price. A squared error that is summed over four times as many pixels may be four times as large
+# for the same PSNR, so the losses grow with the number of pixels.
+
+# %%
+ITERATIONS, STEPS = 6500, 7
+LOSSES = (1e-4, 4e-4)  # at SMALLEST pixels
+SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and single children
+    64: (
+        3,
+        ((500, 0), (1000, 0), (1000, 1), (2000, 0), (2000, 1), (4000, 0)),
+        ((200, 0.0005), (400, 0.0005), (800, 0.0005), (800, 0.00025)),
+        ((1000, 0.0005), (2000, 0.0005), (2000, 0.00025)),
+    ),
+    128: (
+        3,
+        ((500, 0), (1000, 0), (1000, 1), (2000, 0), (4000, 0), (4000, 1), (8000, 0)),
+        ((400, 0.0005), (800, 0.0005), (1600, 0.0005), (1600, 0.00025)),
+        ((1000, 0.0005), (2000, 0.0005), (4000, 0.0005), (4000, 0.00025)),
+    ),
+    256: (
+        1,
+        ((1000, 0), (2000, 0), (2000, 1), (4000, 0), (8000, 0), (8000, 1)),
+        ((800, 0.0005), (1600, 0.0005), (3200, 0.0005), (3200, 0.00025)),
+        ((2000, 0.0005), (4000, 0.0005), (8000, 0.0005), (8000, 0.00025)),
+    ),
+}
+EXPLICIT, SINGLE = "d3dgs_small", {"preset": "small_coded", "d": 8}
+
+
+def plan():
+    """The Tasks of all sizes, the files that are coded alike behind that of their training."""
+    tasks = []
+    for size, (seeds, explicit, four, single) in SIZES.items():
+        ours = [{"anchors": count, "lambda_rate": price} for count, price in four]
+        ours += [{**SINGLE, "anchors": count, "lambda_rate": price} for count, price in single]
+        theirs = [{"gaussians": count, "sh_degree": degree} for count, degree in explicit]
+        of_methods = {EXPLICIT: theirs, CODED: ours}
+        alike = [(ALIKE, loss * (size / SMALLEST) ** 2) for loss in LOSSES]
+        scenes, storages = [scene_of(size)], {EXPLICIT: alike}
+        tasks += methods.plan(
+            of_methods, of_methods, scenes, FOLDER, seeds, ITERATIONS, storages=storages
+        )
+    return tasks
+
+
+def say(line):
+    """Print a line at once."""
+    print(line, flush=True)
+
+
+def cost(tasks):
+    """Print the processor hours of the missing trainings, judging by the first STEPS."""
+    missing = {
+        task.trained.path: task.trained for task in tasks if not task.trained.record.exists()
+    }
+    for name in dict.fromkeys(task.scene.name for task in missing.values()):
+        alike = methods.trainers([task for task in missing.values() if task.scene.name == name])
+        hours = 0.0
+        for trainer, number in alike:
+            seconds = [clocked(trainer.step)[1][0] for _ in range(STEPS)]
+            hours += number * np.median(seconds) * ITERATIONS / 3600
+        say(f"{name}: {sum(number for _, number in alike)} trainings, about {hours:.1f} hours")
+
+
+def collect(tasks):
+    """Write the record."""
+    command = "python tutorials/growing_detail.py make"
+    write_csv(RECORD, [{**row, "command": command} for row in methods.made(tasks)])
+
+
+# %% [markdown]
+# ## What a Gaussian costs
+# Count numbers. An explicit Gaussian has a position, three scales, four numbers of a rotation, an
+# opacity and three numbers of a colour: eleven numbers and a position. A colour that depends on the
+# view costs 9 more with harmonics of degree 1, 24 with degree 2, 45 with degree 3. An anchor of
+# `tiny` has a feature of 16 numbers, three scales, three offset scales and four offsets: 34 numbers
+# and a position for four Gaussians. Their colours depend on the view by a network, without any
+# further number. A child thus costs 8.5 numbers and a quarter of a position.
+#
+# A single child with a feature of 8 costs 17 numbers and a whole position, more than an explicit
+# Gaussian of degree 0. There only the context and the rate can save bytes, not the prediction of
+# several children.
+#
+# Networks are the other side. Ours have more weights, also those of the context, and their bytes do
+# not grow with the number of Gaussians. In the paper's two files of T-Rex (its Table 4), networks
+# are 55 and 31 %; in our files of a few hundred Gaussians they are about half, although they are
+# coded. The more Gaussians a scene needs, the less they matter: that is the expectation that is
+# measured here.
+
+
+# %%
+def numbers_of_anchor(preset):
+    """The coded numbers of an anchor of a preset beside its position, and those of networks."""
+    design = trainer_class(preset).design_of(preset, described(SMALLEST)["effects"])
+    return sum(design.widths), design.k, declared_numbers(design, 0)["networks"]
+
+
+def numbers_of_explicit(preset):
+    """The numbers of an explicit Gaussian beside its position, and those of networks."""
+    arrays = d3dgs.D3DGS.initial(preset, np.random.default_rng(0), np.zeros((2, 3)))
+    networks = sum(a.size for name, a in arrays.items() if name.startswith("psi"))
+    own = sum(a[0].size for name, a in arrays.items() if not name.startswith("psi")) - 3
+    return own, networks
+
+
+def count():
+    """Print the numbers that a Gaussian costs."""
+    rows = [("", "numbers", "positions", "numbers of networks")]
+    single = replace(PRESETS["small_coded"], d=SINGLE["d"])
+    for name, preset in (("tiny_coded", PRESETS["tiny_coded"]), ("small_coded, d 8", single)):
+        numbers, k, networks = numbers_of_anchor(preset)
+        rows.append(
+            (f"{name}, a child of {k}", f"{numbers / k:.1f}", f"{1 / k:.2f}", f"{networks:,}")
+        )
+    for degree in range(4):
+        own, networks = numbers_of_explicit(choose(EXPLICIT, changes={"sh_degree": degree}))
+        rows.append((f"explicit, degree {degree}", f"{own:.1f}", "1.00", f"{networks:,}"))
+    print("\n".join(aligned(rows)))
+
+
+# %% [markdown]
+# ### What the paper's tables imply
+# The paper prints bytes, not numbers of Gaussians. These follow from its Tables 3 and 4 (T-Rex), if
+# D3DGS stores float32 with harmonics of degree 3 and three unused normals (62 numbers), if anchors
+# have 16 features and 10 children, and if positions have 16 bits. The three estimates agree within
+# a fifth: spatial prediction kept the number of Gaussians and made each of them eleven times
+# smaller. Quantisation and coding made an anchor seven times smaller again.
+#
+# The tables leave open how much of this explicit Gaussians may have, too. No row codes D3DGS, so
+# they do not say how much of the factor 67 from 56.7 to 0.85 MB needs prediction. Nor do they say
+# what D3DGS reaches with fewer Gaussians, or with harmonics of a lower degree.
+
+# %%
+MB = 1e6
+T_REX = {"D3DGS": 56.7, "+ spatial prediction": 7.27}  # Table 3, MB
+POSITIONS, ATTRIBUTES = 0.118, 0.191 + 0.099 + 0.188  # Table 4, high rate, MB
+
+
+def implied():
+    """Print the numbers of Gaussians that the paper's tables imply, and the bytes of each."""
+    paper = choose("d3dgs", "paper_synthetic", {"sh_degree": 3})
+    own, network = numbers_of_explicit(paper)
+    per_gaussian = 4 * (own + 6)  # with the position and three normals
+    explicit = (T_REX["D3DGS"] * MB - 4 * network) / per_gaussian
+    numbers, k, _ = numbers_of_anchor(PRESETS["paper_synthetic"])
+    per_anchor = 4 * (numbers + 3)
+    anchors = (T_REX["+ spatial prediction"] * MB - 4 * network) / per_anchor
+    coded = POSITIONS * MB / (3 * LATTICE.bit_length() / 8)
+    each = (POSITIONS + ATTRIBUTES) * MB / coded
+    rows = [
+        ("T-Rex, by the paper's tables", "Gaussians", "bytes of each"),
+        ("D3DGS", f"{explicit:,.0f}", f"{per_gaussian}"),
+        ("anchors, float32", f"{anchors * k:,.0f}", f"{per_anchor / k:.1f}"),
+        ("anchors, coded, before masks", f"{coded * k:,.0f}", f"{each / k:.1f}"),
+    ]
+    print("\n".join(aligned(rows)))
+
+
+# %% [markdown]
+# ## The record
+
+# %%
+NAMES = {EXPLICIT: "explicit", CODED: "ours"}
+LABELS = {
+    EXPLICIT: ((8, -14), "left"),
+    CODED: ((-8, 6), "right"),
+}  # places beside a point, in points
+
+
+def read():
+    """The rows of the record; files of explicit Gaussians only as coded alike."""
+    with open(RECORD, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    kept = [row for row in rows if row["method"] == CODED or row["storage"] == ALIKE]
+    columns = ("seed", "bytes", "gaussians", "gaussians_bytes", "psnr_db")
+    return [{**row, **{name: float(row[name]) for name in columns}} for row in kept]
+
+
+def curves_of(rows):
+    """{method: its points (bytes, PSNR), means over seeds}."""
+    points = means(rows, "label", "method")
+    return {
+        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
+        for name in NAMES
+    }
+
+
+def ranges(curves):
+    """Where ours needs fewer bytes: a list of (from dB, to dB, median factor, ours is smaller)."""
+    fronts = [front(curves[name]) for name in (EXPLICIT, CODED)]
+    low, high = max(f[0, 1] for f in fronts), min(f[-1, 1] for f in fronts)
+    levels = np.linspace(low, high, 400) if high > low else np.zeros(0)
+    factor = np.array([np.divide(*(bytes_at(f, psnr) for f in fronts)) for psnr in levels])
+    parts = np.split(np.arange(len(levels)), np.flatnonzero(np.diff(factor > 1)) + 1)
+    return [
+        (levels[part[0]], levels[part[-1]], np.median(factor[part]), factor[part[0]] > 1)
+        for part in parts
+        if len(part)
+    ]
+
+
+def by_seed(rows):
+    """A sentence about the median factor: its mean over seeds and twice its standard error."""
+    each = [
+        factors(curves[CODED], curves[EXPLICIT])
+        for seed in dict.fromkeys(row["seed"] for row in rows)
+        for curves in [curves_of([row for row in rows if row["seed"] == seed])]
+    ]
+    medians = [found["median"] for found in each if found]
+    if len(medians) < 2:
+        return "one seed: no standard error"
+    mean, error = np.mean(medians), twice_standard_error(medians)
+    tells = "" if abs(mean - 1) > error else ", which cannot tell which is smaller"
+    spread = f"{mean:.2f} ±{error:.2f} over {len(medians)} seeds"
+    return f"explicit bytes over ours, median: {spread}{tells}"
+
+
+def verdict(found):
+    """A sentence about where the curves cross or that they do not."""
+    if not found:
+        return "no PSNR that both reach"
+    texts = [
+        f"{'fewer' if ours else 'more'} bytes from {low:.1f} to {high:.1f} dB (factor {factor:.2f})"
+        for low, high, factor, ours in found
+    ]
+    return "ours needs " + ", ".join(texts)
+
+
+def draw(curves, titles):
+    """PSNR over bytes at every size, both curves, with their names on them."""
+    figure, axes = lessons.pyplot().subplots(
+        1, len(curves), figsize=(4.2 * len(curves), 4.4), squeeze=False, layout="constrained"
+    )
+    for ax, (scene, both) in zip(axes[0], curves.items()):
+        for color, (name, points) in zip((RED, BLUE), both.items()):
+            edge, (offset, side) = front(points), LABELS[name]
+            ax.plot(*zip(*points), ".", color=color, alpha=0.4)
+            ax.semilogx(*edge.T, "o-", color=color)
+            ax.annotate(
+                NAMES[name],
+                edge[len(edge) // 2],
+                offset,
+                textcoords="offset points",
+                color=color,
+                ha=side,
+            )
+        pixels = scene.partition("_")[2]
+        ax.set(xlabel="bytes, both coded", title=f"{pixels} pixels: {titles[scene]}")
+        ax.title.set_fontsize(11)
+        ax.xaxis.set(
+            major_locator=LogLocator(subs=(1, 2, 5)),
+            major_formatter=EngFormatter(sep=""),
+            minor_formatter=NullFormatter(),
+        )
+    axes[0, 0].set_ylabel("PSNR of the test views (dB)")
+    lessons.show(figure, "growing_detail")
+
+
+def show():
+    """Count, then read the record, say where the curves cross, and draw them."""
+    count()
+    print()
+    implied()
+    if not RECORD.exists():
+        return print(f"\nno {RECORD.name} yet; `make` and then `collect` write it")
+    rows, curves, titles = read(), {}, {}
+    print()
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        own = [row for row in rows if row["scene"] == scene]
+        curves[scene] = curves_of(own)
+        found = ranges(curves[scene])
+        print(f"{scene}: {verdict(found)}")
+        print(f"  {by_seed(own)}")
+        changes = [f"{high:.1f} dB" for _, high, _, _ in found[:-1]]
+        titles[scene] = f"cross at {', '.join(changes)}" if changes else "do not cross"
+        for name in NAMES:
+            of_method = [row for row in own if row["method"] == name]
+            each = np.median([row["gaussians_bytes"] / row["gaussians"] for row in of_method])
+            print(f"  {NAMES[name]}: {each:.1f} bytes a Gaussian without networks (median)")
+    draw(curves, titles)
+
+
+def main(words):
+    """Do what the words of the command line ask for."""
+    if not words:
+        return show()
+    word, part = (*words, "0/1")[:2]
+    if word not in ("cost", "make", "collect") or not re.fullmatch(r"\d+/[1-9]\d*", part):
+        sys.exit(f"{' '.join(words)}: expected cost, make, make I/N or collect")
+    if word == "make":
+        return methods.make_missing(methods.part_of(plan(), *map(int, part.split("/"))), say)
+    {"cost": cost, "collect": collect}[word](plan())
+
+
+# %%
+if __name__ == "__main__":
+    main(sys.argv[1:])
