@@ -307,12 +307,12 @@ for n in (64, 256):
 # %%
 coarse, fine = priced["tables", "64/σ"], priced["tables", "4096/σ"]
 gain_of_bits = coarse["bits_error"] / fine["bits_error"]
-gain_of_gradient = coarse["gradient_error"] / fine["gradient_error"]
+gain_of_gradient = coarse["slopes_error"] / fine["slopes_error"]
 print(f"gain of the bits {gain_of_bits:.0f}, of the gradient {gain_of_gradient:.0f}")
 assert 64**2 / 3 < gain_of_bits < 3 * 64**2
 assert 64 / 3 < gain_of_gradient < 3 * 64
 assert fine["bits_error"] < 1e-6
-assert 0.8e-3 < fine["gradient_error"] < 1e-3
+assert 0.8e-3 < fine["slopes_error"] < 1e-3
 
 # %% [markdown]
 # ## Break it
