@@ -10,7 +10,7 @@ import csv
 import numpy as np
 
 from ..clock import can_tell, stretch_of
-from ..writer import grouped, means
+from ..writer import grouped, means, twice_standard_error
 from .knobs import PSNR
 
 TEXTS = ("knob", "line", "value", "sha256", "arithmetic", "command")  # the columns without numbers
@@ -56,8 +56,7 @@ def paired(rows, references, column):
     """
     start = {row["seed"]: row[column] for row in references}
     gaps = [row[column] - start[row["seed"]] for row in rows if row["seed"] in start]
-    error = np.std(gaps, ddof=1) / np.sqrt(len(gaps)) if len(gaps) > 1 else np.inf
-    return float(np.mean(gaps)), float(2 * error)
+    return float(np.mean(gaps)), float(twice_standard_error(gaps))
 
 
 def lost(loss, rows, references):

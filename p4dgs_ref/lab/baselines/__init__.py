@@ -32,7 +32,7 @@ METHODS = {
     "gaussian4d": (gaussian4d, "tiny"),
 }
 
-DECODERS = {".half": half.decode, ".coded": coded.decode}  # of files that are no PLY
+DECODERS = {".half": half.decode, ".coded": coded.decode}  # of files other than PLY
 
 
 def module_of(method):

@@ -177,7 +177,7 @@ def decode(data):
     count = values["count"]
     rows = {n: (count, *shape) for n, shape in values["rows"].items() if n != "normals"}
     p = Parameters({name: np.zeros(shape) for name, shape in {**rows, **values["shapes"]}.items()})
-    box, places = positions.read_sorted(parts["positions"], values["count"], values["bits"])
+    box, places = positions.read_sorted(parts["positions"], count, values["bits"])
     p["x"][...] = unsnap(places, *box)
     read_groups(parts["columns"], columns_of(p, values))
     read_groups(parts["planes"], planes_of(p))

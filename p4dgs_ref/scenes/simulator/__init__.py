@@ -59,10 +59,9 @@ def place_cameras(description, split, shift=0.5):
     """The (camera, time) of every view of a split, in the order of time.
 
     Training views are at even times from 0 to 1, test views half-way between even times; another
-    `shift` than half a step gives further views. Cameras of
-    the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
-    very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
-    cameras.
+    `shift` than half a step gives further views. Cameras of the kind `scattered` step on by the
+    golden angle, so that neighbours in time see the scene from very different sides. The kind
+    `orbit` moves the training camera smoothly and scatters the test cameras.
     """
     paths, n = description.cameras, getattr(description.cameras, split)
     low, high = paths.elevation
