@@ -14,6 +14,11 @@
 # [weights.py](../p4dgs_ref/beyond/weights.py) (the format).
 
 # %%
+import p4dgs_ref
+
+p4dgs_ref.prepare()  # the same numbers everywhere; before NumPy is imported
+
+# %%
 import csv
 import sys
 from collections import Counter

@@ -164,7 +164,7 @@ EXPLICIT, SINGLE = "d3dgs_small", {"preset": "small_coded", "d": 8}
 
 
 def plan():
-    """The Tasks of all sizes, the files that are coded alike behind that of their training."""
+    """The Tasks of all sizes, those of a seed before those of the next."""
     tasks = []
     for size, (seeds, explicit, four, single) in SIZES.items():
         ours = [{"anchors": count, "lambda_rate": price} for count, price in four]
@@ -176,7 +176,7 @@ def plan():
         tasks += methods.plan(
             of_methods, of_methods, scenes, FOLDER, seeds, ITERATIONS, storages=storages
         )
-    return tasks
+    return sorted(tasks, key=lambda task: task.seed)
 
 
 def say(line):
