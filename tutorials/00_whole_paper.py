@@ -6,10 +6,10 @@
 # Every Gaussian takes 59 numbers, and the methods that P-4DGS (arXiv 2510.10030) is compared with
 # need 11 to 752 MB for a few seconds of one object or room. P-4DGS needs 0.6 to 2 MB. Three ideas:
 #
-# 1. **Predict.** Neighbouring Gaussians look alike. Store one *anchor*, and let small networks
+# 1. **Space.** Neighbouring Gaussians look alike. Store one *anchor*, and let small networks
 #    predict the k Gaussians around it, its children.
-# 2. **Move.** Store the scene once, and let one more network say where every Gaussian is at time t.
-# 3. **Code.** Round the anchors' numbers as coarsely as the pictures allow, and write likely values
+# 2. **Time.** Store the scene once, and let one more network say where every Gaussian is at time t.
+# 3. **Bits.** Round the anchors' numbers as coarsely as the pictures allow, and write likely values
 #    with few bits. Two more networks predict how coarsely to round and which values are likely.
 #
 # This program does all of that for two moving balls: it trains, writes bytes, forgets everything
@@ -283,13 +283,20 @@ def start(rng):
     return p
 
 
-def strip(title, images, names=None):
-    """A row of images [P, 3], or [P] with one number for each pixel, below a title."""
-    figure, axes = plt.subplots(1, len(images), figsize=(9, 2.2), dpi=100, layout="constrained")
-    figure.suptitle(title)
+def strip(title, images, names=None, white=1):
+    """A row of images [P, 3], or [P] with one number for each pixel, below a title.
+
+    A number of `white` is drawn white; another one than 1 gets a scale.
+    """
+    figure, axes = plt.subplots(1, len(images), figsize=(9, 2.2), dpi=100)
+    figure.suptitle(title, x=0.47)  # the middle of the row
+    figure.subplots_adjust(left=0.01, right=0.93, bottom=0.03, top=0.76, wspace=0.05)
     for axis, image, name in zip(axes, images, names or [""] * len(images)):
-        axis.imshow(image.reshape(SIZE, SIZE, -1).squeeze().clip(0, 1), cmap="gray")
+        pixels = image.reshape(SIZE, SIZE, -1).squeeze().clip(0, 1)
+        shown = axis.imshow(pixels, cmap="gray", vmin=0, vmax=white)
         axis.set(xticks=[], yticks=[], title=name)
+    if white != 1:
+        figure.colorbar(shown, cax=figure.add_axes((0.94, 0.03, 0.01, 0.73)))
 
 
 def plot(title, **labels):
@@ -310,10 +317,11 @@ if SHOW:
 # ## Splatting
 # The paper takes this part from 3DGS (Kerbl et al. 2023). An ellipsoid has the covariance
 # $Q\,\mathrm{diag}(s)^2Q^T$ with its own rotation $Q$, not the camera's $R$. A camera sees it as an
-# ellipse of pixels, a *splat*. Splats are painted from front to back. The rotation matrix of a
-# quaternion r = (w, v) is $Q=G_+G_-^T$, $G_\pm = [-v, wI\pm[v]_\times]$, $[v]_\times u=v\times u$.
-# Backward, $\bar G_+ = \bar Q\,G_-$ and $\bar G_- = \bar Q^T G_+$. Both $G_\pm$ are linear in r, so
-# $\bar r_i = \sum_\pm\sum_{mn} (\bar G_\pm)_{mn}\,G_\pm(e_i)_{mn}$ with unit vectors $e_i$.
+# ellipse of pixels, a *splat*. Splats are painted from front to back.
+#
+# The rotation matrix of a unit quaternion r = (w, x, y, z) is usually written with squares, such as
+# 1 - 2 (y y + z z). It is also the product of two matrices, `left` and the transpose of `right`,
+# which only hold the numbers of r, some with a minus. That makes the backward short.
 
 
 # %%
@@ -336,22 +344,25 @@ def pixel_grid(finer=1):
     return np.meshgrid(line, line)
 
 
-def factor(r, side):
-    """G_+(r) (side = 1) or G_-(r) (side = -1), [N, 3, 4]: the factors of the rotation matrix."""
-    w, (x, y, z), (X, Y, Z) = r[:, 0], r.T[1:], side * r.T[1:]
-    return np.array([[-x, w, -Z, Y], [-y, Z, w, -X], [-z, -Y, X, w]]).transpose(2, 0, 1)
+def factors(r):
+    """The matrices `left` and `right` of quaternions r [N, 4], both [N, 3, 4]."""
+    w, x, y, z = r.T
+    left = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    right = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+    return left.transpose(2, 0, 1), right.transpose(2, 0, 1)
 
 
 def rotation_matrix(r):
-    """The rotation matrices Q [N, 3, 3] of unit quaternions r [N, 4]."""
-    G_plus, G_minus = factor(r, 1), factor(r, -1)
+    """The rotation matrices Q = left right^T [N, 3, 3] of unit quaternions r [N, 4]."""
+    left, right = factors(r)
 
     def back(Q_bar):
-        G_plus_bar, G_minus_bar = Q_bar @ G_minus, Q_bar.transpose(0, 2, 1) @ G_plus
-        r_bar = np.einsum("nij,aij->na", G_plus_bar, factor(np.eye(4), 1))
-        return r_bar + np.einsum("nij,aij->na", G_minus_bar, factor(np.eye(4), -1))
+        left_bar, right_bar = Q_bar @ right, Q_bar.transpose(0, 2, 1) @ left
+        in_left, in_right = factors(np.eye(4))  # w, x, y, z in turn: 1 or -1 where it stands
+        r_bar = np.einsum("nij,aij->na", left_bar, in_left)
+        return r_bar + np.einsum("nij,aij->na", right_bar, in_right)
 
-    return G_plus @ G_minus.transpose(0, 2, 1), back
+    return left @ right.transpose(0, 2, 1), back
 
 
 def projection(x, s, Q, R, T):
@@ -361,7 +372,8 @@ def projection(x, s, Q, R, T):
     with J = FOCAL/z [[1, 0, -x/z], [0, 1, -y/z]]. The splat's covariance is m diag(s)^2 m^T with
     m = JR Q. 3DGS adds 0.3 I, because a splat smaller than a pixel could lie between pixel centres
     and vanish. The conic is the inverse K of that sum [[a, b], [b, c]]. For long thin splats
-    a c - b b loses all digits; with the cross product n of m's rows nothing cancels.
+    a c - b b loses all digits. With the cross product n of m's rows, the determinant of
+    m diag(s)^2 m^T is a sum of squares (Cauchy and Binet), and nothing cancels.
     """
     x_cam = x @ R.T + T
     z, uv = x_cam[:, 2:], x_cam[:, :2] / x_cam[:, 2:]
@@ -410,8 +422,10 @@ def compositing(mean, conic, alpha, c):
 
     def back(image_bar):
         weight_bar = image_bar @ c.T  # [P, N]
-        given = np.hstack([weight * weight_bar, T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]])
-        behind = np.cumsum(given[:, :0:-1], axis=1)[:, ::-1]  # sums from the back
+        background_bar = T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]
+        # from the back: the background, then the splats up to the one after the first
+        from_back = np.flip(np.hstack([weight * weight_bar, background_bar])[:, 1:], axis=1)
+        behind = np.flip(np.cumsum(from_back, axis=1), axis=1)  # [P, N]: the sum over j > i
         alpha_p_bar = T_i[:, :-1] * weight_bar - behind / (1 - alpha_p)
         alpha_p_bar *= alpha * falloff <= 0.99  # the clamp passes no gradient
         exponent_bar = alpha_p_bar * alpha_p
@@ -581,7 +595,7 @@ Q_0 = np.array([0.25, 0.01, 0.01, 0.1])  # base steps of the groups f, s, l, O
 def noise(f, q, u):
     """Eq. (7): f + u q with u uniform in [-1/2, 1/2]; q [A, 4] has one step for each group."""
     noisy = f + u * q[:, GROUP]
-    return noisy, lambda bar: (bar, np.add.reduceat(bar * u, STARTS, axis=1))
+    return noisy, lambda bar: (bar, np.add.reduceat(bar * u, STARTS, axis=1))  # sum by group
 
 
 def rounding(f, q):
@@ -646,7 +660,9 @@ def hash_rate(b):
     """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs of the grid, p+ = N+ / (N+ + N-)."""
     N_plus = (1 + b).sum() / 2
     p_plus = np.clip(N_plus / b.size, 1e-6, 1 - 1e-6)
-    slope = np.log2((1 - p_plus) / p_plus) / 2  # through N+; the slope through p+ is 0
+    # A minus that becomes a plus moves N+, and p+ with it. But p+ is the probability that needs the
+    # fewest bits for these counts, so moving it a little changes nothing, and N+ alone counts.
+    slope = np.log2((1 - p_plus) / p_plus) / 2  # half of it: b moves by 2 where N+ moves by 1
     hash_bits = -N_plus * np.log2(p_plus) - (b.size - N_plus) * np.log2(1 - p_plus)
     return hash_bits, lambda bits_bar: np.full_like(b, slope * bits_bar)
 
@@ -708,10 +724,9 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Not counted: the positions, whose bits are fixed, and the networks. To count these as well
-        # (beyond the paper: beyond_networks.py), give every array of WEIGHTS a learned step, add
-        # noise of this step before `network` reads the array, and round it at the end. Its bits are
-        # those of array / step under a density around 0; add them to `bits`.
+        # Not counted: the positions, whose bits are fixed, and the networks. To count these, too
+        # (ours: beyond_networks.py), give every array of WEIGHTS a learned step, add noise of this
+        # step before `network` reads it, round it at the end, and add its bits to `bits`.
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():
@@ -862,17 +877,30 @@ def train(views, seed=0):
 
 if SHOW:
     p, frames = train(views)
-    strip("The first view", frames, ["before", *(f"after stage {i}" for i in (1, 2, 3, 4))])
+    shown = [frames[0], *(1 - 4 * (1 - frame) for frame in frames[1:3]), *frames[3:]]
+    title = "The first view; after stages 1 and 2 with four times the contrast"
+    strip(title, shown, ["before", *(f"after stage {i}" for i in (1, 2, 3, 4))])
 
 # %% [markdown]
+# Stages 1 and 2 leave nearly white pictures, drawn here with four times their contrast. Most pixels
+# are background, so the first 40 steps mainly remove the grey of the untrained Gaussians. More of
+# them would help little: even after 300, a model at rest draws only a red smear where the red ball
+# is most often. Stage 3, in which the Gaussians move, therefore begins early.
+#
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol: `cdf` is
-# the cumulative distribution of Eq. (11) in these units. Symbol i is the integer lowest + i, and
-# owns the slots from cdf[i] to cdf[i + 1] - 1. rANS (Duda 2013) turns all symbols into one large
-# integer, `state`. To add a symbol, it makes the state congruent modulo 2^24 to one of the symbol's
-# `width` slots; `state % width` selects which. So a decoder can recover the last symbol, and the
-# state before it. A symbol of probability 1/8 multiplies the state by about 8, which adds 3 bits.
-# Both sides compute the same probabilities, in the same floats on the same machine.
+# the cumulative distribution of Eq. (11) in these units. Symbol i is the integer lowest + i. Of the
+# numbers from 0 to 2^24 - 1 it owns as many as it has units, its `width`: from cdf[i] to
+# cdf[i + 1] - 1. rANS (Duda 2013) turns all symbols into one large integer, `state`. To add a
+# symbol, it divides the state by the symbol's width. The remainder, from 0 to width - 1, selects
+# one of the symbol's own numbers, which becomes the last 24 binary digits of the new state; the
+# quotient becomes the digits before them. The decoder looks up who owns the number in the last 24
+# digits. This is the symbol that was added last, and the decoder can now undo the step.
+#
+# In units of 1/4, let A own 0, 1 and 2, and B own 3. Adding A to the state 5 gives the quotient 1
+# and the remainder 2, so the new state is 4 * 1 + 2 = 6. The decoder finds that 6 % 4 = 2 is A's,
+# and returns to 3 * 1 + 2 = 5. A symbol of probability 1/8 multiplies the state by about 8, which
+# adds 3 bits. Both sides compute the same probabilities, in the same floats on the same machine.
 
 
 # %%
@@ -892,7 +920,7 @@ def rans_decode(data, cdfs):
     """The inverse of `rans_encode`."""
     state, symbols = int.from_bytes(data, "little"), []
     for cdf in cdfs:
-        owned = state % 2**UNIT_BITS
+        owned = state % 2**UNIT_BITS  # one of the numbers that the last symbol owns
         symbol = int(np.searchsorted(cdf, owned, side="right")) - 1
         first, width = int(cdf[symbol]), int(cdf[symbol + 1] - cdf[symbol])
         state = width * (state >> UNIT_BITS) + owned - first
@@ -1019,7 +1047,8 @@ if SHOW:
     pictures = [draw(decoded, values, R, T, t) for R, T, t, _ in unseen[::2]]
     strip("Views that were not used in training", truths, times)
     strip("From the decoded file", pictures)
-    strip("Absolute error", np.abs(np.subtract(pictures, truths)))
+    errors = np.abs(np.subtract(pictures, truths)).mean(axis=2)  # over the three colours
+    strip("Absolute error, 4 times as bright: white is 0.25 or more", errors, white=0.25)
     axis = plot(f"The file: {sum(map(len, file.values())):,} bytes", xlabel="bytes")
     axis.bar_label(axis.barh(list(file), [len(part) for part in file.values()]), padding=3)
     axis.margins(x=0.1)

@@ -223,6 +223,19 @@ def test_a_shell_gets_one_page_of_pictures_and_remarks_on_what_is_odd(tmp_path, 
         assert remark in printed
 
 
+def test_rows_of_four_pictures_are_of_one_size_with_names_and_with_a_scale(whole):
+    plt.close("all")
+    pictures = np.zeros((4, whole.SIZE**2))
+    for settings in ({}, {"names": "abcd"}, {"white": 0.25}):
+        whole.strip("title", pictures, **settings)
+    rows = [plt.figure(number) for number in plt.get_fignums()]
+    for row in rows:
+        row.canvas.draw()
+    boxes = [[axis.get_window_extent().bounds for axis in row.axes[:4]] for row in rows]
+    plt.close("all")
+    assert boxes[0] == boxes[1] == boxes[2]
+
+
 # --- form -----------------------------------------------------------------------------------------
 def test_it_needs_nothing_of_the_package():
     nodes = list(ast.walk(ast.parse(SOURCE)))
@@ -230,4 +243,4 @@ def test_it_needs_nothing_of_the_package():
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     roots = {name.split(".")[0] for name in names}
     assert roots - set(sys.stdlib_module_names) == {"numpy", "scipy", "matplotlib"}
-    assert len(SOURCE.splitlines()) <= 1050 and "Eq. (1):" in SOURCE[:4000]
+    assert len(SOURCE.splitlines()) <= 1080 and "Eq. (1):" in SOURCE[:4000]
