@@ -9,16 +9,22 @@ from p4dgs_ref import lessons
 from p4dgs_ref.report import figures
 from tests.sampling import few
 from tests.tutorials import drawn
-from tutorials.tools import tour
+from tutorials.tools import syllabus, tour
 from tutorials.tools.shared import FOLDER
 
-SECTIONS = (FOLDER / "tour.md").read_text(encoding="utf-8").split("\n## ")[1:]
+INTRODUCTION, *SECTIONS = (FOLDER / "tour.md").read_text(encoding="utf-8").split("\n## ")
 NUMERAL = re.compile(r"\d+(?:,\d{3})*(?:\.\d+)?")
+UNREAD = re.compile(r"!\[.*|\]\([^)]*\)")  # pictures, and the addresses of links
+REFERENCE = (FOLDER / "reference.md").read_text(encoding="utf-8")
+FILES = re.search(r"^\| file \|.*", REFERENCE, re.MULTILINE)[0]  # the demo's, on the front page
 
 
 @pytest.mark.parametrize("number, title", few(list(enumerate(tour.PICTURES, 1)), 1))
 def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
-    """Where it fails after a change, `python -m tutorials.tools.syllabus tour` draws anew."""
+    """Where it fails after a change, `python -m tutorials.tools.syllabus tour` draws anew.
+
+    The text may also quote the bytes of the demo's files.
+    """
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
     with figures.styled(
@@ -26,7 +32,17 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     ):  # as the tour is drawn: numbers of colour bars are made then
         shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
         assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
-    assert set() != set(NUMERAL.findall(text)) <= shown
+    assert (
+        set() != set(NUMERAL.findall(UNREAD.sub("", text))) <= shown.union(NUMERAL.findall(FILES))
+    )
+
+
+def test_reading_takes_fifteen_minutes_and_names_the_three_ideas():
+    text = UNREAD.sub("", "\n".join((INTRODUCTION, *SECTIONS[:10])))
+    assert text.startswith("# The paper in ten pictures\n\nFifteen minutes")
+    assert len(text.split()) <= 15 * syllabus.WORDS
+    named = [re.findall(r"idea,\s\*\*(\w+)\*\*", section) for section in SECTIONS]
+    assert sum(named, []) == ["space", "time", "bits"] == re.findall(r"\*\*(\w+)\*\*,", SECTIONS[0])
 
 
 def test_pictures_are_wide_and_all_files_small():

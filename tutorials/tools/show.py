@@ -22,6 +22,7 @@ from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training.loop import psnr
+from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
@@ -40,6 +41,7 @@ STYLE = {  # of the tour's pictures
     "figure.dpi": 100,
     "axes.grid": False,
 }
+BARE = {"xticks": (), "yticks": (), "frame_on": False}  # axes of which nothing is drawn
 MIN_SHARE = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
 
 
@@ -104,8 +106,7 @@ def context_at(model, x):
 def picture(ax, image, camera, **settings):
     """Show an image, of whatever size, on axes that count the pixels of the camera."""
     ax.imshow(image, extent=(-0.5, camera.width - 0.5, camera.height - 0.5, -0.5))
-    ax.set(xticks=[], yticks=[], **settings)
-    ax.spines[:].set_visible(False)
+    ax.set(**BARE, **settings)
 
 
 def scored_picture(ax, model, data, camera, t, truth, view, name):
@@ -193,7 +194,11 @@ def anchors(figure, model, camera, anchor, view):
     left, right = figure.subplots(1, 2)
     g, image = model.gaussians(None, camera), 0.5 * frame(model, camera, None) + 0.5
     picture(left, np.ones_like(image), camera, **view)
-    left.set_title(f"{model.primitives} anchors (black), {len(g.x)} children (blue)")
+    left.set(
+        title=f"{model.primitives} anchors (black), {len(g.x)} children (blue)",
+        xlabel=f"here k = {model.design.k}: {model.anchors.mask.sum(axis=1).mean():.1f} are left\n"
+        f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left",
+    )
     families(left, model, camera, anchor)
     picture(right, image, camera, **view, title="the children, drawn as Gaussians")
     of_anchor = g.index // model.design.k == anchor
