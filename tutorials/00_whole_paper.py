@@ -4,7 +4,8 @@
 # A moving scene can be described by thousands of soft coloured ellipsoids, *Gaussians*, which a
 # graphics card draws from any side in a few milliseconds. The problem is the size of the file.
 # Every Gaussian takes 59 numbers, and the methods that P-4DGS (arXiv 2510.10030) is compared with
-# need 11 to 752 MB for a few seconds of one object or room. P-4DGS needs 0.6 to 2 MB. Three ideas:
+# need 11 to 752 MB for a few seconds of one object or room. P-4DGS needs 0.6 to 2 MB. It predicts
+# as video codecs do, within a frame and from frame to frame, and has three ideas:
 #
 # 1. **Space.** Neighbouring Gaussians look alike. Store one *anchor*, and let small networks
 #    predict the k Gaussians around it, its children.
