@@ -182,6 +182,16 @@ def finish(ax, legend=None, grid=True, title_size="large", **settings):
         ax.grid(False)
 
 
+def label(ax, *places, **settings):
+    """Write the labels of lines beside them and in their colours, in place of a legend.
+
+    The places are those of the texts, in the units of the axes and in the order of the lines.
+    """
+    lines = [line for line in ax.get_lines() if not line.get_label().startswith("_")]
+    for line, place in zip(lines, places, strict=True):
+        ax.text(*place, line.get_label(), color=line.get_color(), **settings)
+
+
 def show(figure, name, title="", size=16):
     """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
     if title:

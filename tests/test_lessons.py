@@ -102,6 +102,17 @@ def test_numbers_that_agree_with_the_largest_alone_are_counted():
     assert lessons.difference(right < 1, right > 0) == "2 of 4 numbers are wrong"  # flags, too
 
 
+def test_every_line_with_a_label_has_it_at_its_place_and_in_its_colour():
+    _, ax = lessons.pyplot().subplots()
+    ax.plot([0, 1], color="r", label="up")
+    ax.plot([1, 0])
+    lessons.label(ax, (0.5, 0.2))
+    (text,) = ax.texts
+    assert (text.get_text(), text.get_position(), text.get_color()) == ("up", (0.5, 0.2), "r")
+    with pytest.raises(ValueError, match="zip"):
+        lessons.label(ax)
+
+
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
     monkeypatch.setattr(lessons, "HINTS_GIVEN", {})
     first, second = lessons.stored("hints")["07.3"]

@@ -58,6 +58,7 @@ assert np.array_equal(x[0, 0], by_hand)
 # %% [markdown]
 # The next cell draws four random anchors with six children each. All anchors have the same scaling,
 # which is largest along x, so their children spread further along x than along y.
+# [See it move](viewer/demo.html#step=2): the viewer draws the children of each anchor of the demo.
 
 # %%
 anchors = rng.uniform(-1, 1, (4, 3))
@@ -81,7 +82,7 @@ for a in range(4):
         children[a, :, 1],
         "o",
         ms=7,
-        label=f"children of anchor {a}",
+        label=f"anchor {a}",
     )
     axes.plot(
         anchors[a, 0],
@@ -96,7 +97,13 @@ lessons.finish(
     ylabel="y (scene units)",
     aspect="equal",
     title="Four anchors (+) with six Gaussians each: $l_a$ is larger along x",
-    legend={"loc": "center left", "bbox_to_anchor": (1, 0.5)},
+)
+lessons.label(
+    axes,
+    (0.1, 0.97),
+    (1.0, -0.58),
+    (0.2, -0.02),
+    (-0.8, 0.6),
 )
 lessons.show(figure, "01_offsets")
 

@@ -194,8 +194,6 @@ def draw_arrows(ax, arrows, color, title):
         0,
         "k^",
         ms=14,
-        ls="none",
-        label="camera",
     )
     ax.plot(
         ring[:, 0],
@@ -203,7 +201,6 @@ def draw_arrows(ax, arrows, color, title):
         "o",
         ms=6,
         color="0.5",
-        label="anchors",
     )
     ax.quiver(
         *(ring[:, 0], ring[:, 1]),
@@ -215,12 +212,6 @@ def draw_arrows(ax, arrows, color, title):
         width=0.008,
         zorder=3,
     )
-    ax.plot(
-        [],
-        [],
-        color=color,
-        label=r"gradient $\bar x_a$, length 1 drawn as 1.25",
-    )
     lessons.finish(
         ax,
         xlabel="x (scene units)",
@@ -229,14 +220,13 @@ def draw_arrows(ax, arrows, color, title):
         ylim=(-5.6, 5.6),
         title=title,
         title_size=14,
-        legend={"loc": "upper center", "bbox_to_anchor": (0.5, -0.12), "ncols": 3, "fontsize": 9},
     )
 
 
 figure, axes = plt.subplots(
     1,
     2,
-    figsize=(11, 6),
+    figsize=(11, 6.4),
     sharey=True,
     layout="constrained",
 )
@@ -245,6 +235,10 @@ sideways = r"from $\bar d_{vc} = (1, 0, 0)$: across the ray, fading as $1/\delta
 draw_arrows(axes[0], of_length, lessons.COLORS[0], radial)
 draw_arrows(axes[1], of_direction, lessons.COLORS[1], sideways)
 axes[0].set_ylabel("y (scene units)")
+axes[0].text(0, -0.65, "camera", ha="center", fontsize=11)
+axes[1].text(2.7, -2.3, "anchor", color="0.4")
+size = "gradient $\\bar x_a$,\nlength 1 drawn as 1.25"
+axes[0].text(-5.5, -5.4, size, color=lessons.COLORS[0], fontsize=11)
 lessons.show(
     figure, "02_view", title="The gradients that a distance and a direction send to an anchor"
 )
@@ -320,7 +314,8 @@ print(f"one of three rows is NaN, but {np.isnan(first_layer).sum()} of {first_la
 # The file contains nothing of Eq. (2), because the decoder knows the camera and computes both
 # columns itself. They still have a price, namely the rows of the first layers that read them. A
 # scene of this project lists its *effects*. If its list contains no effect that depends on the
-# view, the columns are left out and cost nothing.
+# view, the columns are left out and cost nothing. [See it move](viewer/demo.html#step=3): colours
+# follow the direction while the camera turns.
 
 # %%
 hidden = 32  # width of the hidden layers in the paper's synthetic scenes
@@ -353,8 +348,10 @@ print(f"largest change of a direction {turn:.1e} degrees, of a distance {shift:.
 
 # %% [markdown]
 # ## Exercises
-# **02.1** ● The anchor of "By hand" moves by $(0.7, 0, 0)$. By how much does its distance change,
-# to first order?
+# **02.1** ●● The networks are to see $\ln\delta_{vc}$ in place of $\delta_{vc}$, so that another
+# unit of length only shifts their input. What changes in the gradient? Give $\bar x_a$ `[2, 3]` of
+# the anchor of "By hand" and of one ten times as far from the camera in the same direction, when
+# the logarithm has the cotangent $49$.
 #
 # **02.2** ●● Write Eq. (2). The checks contain lengths near `1e200` and `1e-200` and a camera at
 # the position of an anchor. `np.hypot` and `np.where` help.

@@ -146,7 +146,14 @@ lessons.finish(
     xticks=range(0, 361, 45),
     title="One anchor, four children: the camera decides which ones are drawn",
     title_size=15,
-    legend={"ncols": 4, "loc": "upper center", "fontsize": 12},
+)
+lessons.label(
+    ax,
+    (98, 0.65),
+    (322, 0.42),
+    (58, 0.66),
+    (193, 0.38),
+    fontsize=14,
 )
 lessons.show(figure, "03_opacity_and_masking")
 
@@ -209,7 +216,7 @@ red = lessons.COLORS[1]
 ax.semilogy(
     reach,
     exact,
-    color="0.75",
+    color="0.6",
     lw=8,
     label="exact",
 )
@@ -221,7 +228,7 @@ ax.semilogy(
 )
 not_stuck = textbook > 0
 ax.semilogy(
-    reach[not_stuck], textbook[not_stuck], color=red, label=r"$1 - \alpha^2$, single precision"
+    reach[not_stuck], textbook[not_stuck], color=red, label="$1 - \\alpha^2$,\nsingle precision"
 )
 ax.axvline(
     stuck,
@@ -235,7 +242,13 @@ lessons.finish(
     ylabel=r"slope $\partial\alpha/\partial\psi_\alpha$",
     title=r"$1 - \alpha^2$ switches the gradient off, $4e/(1+e)^2$ does not",
     title_size=15,
-    legend={},
+)
+lessons.label(
+    ax,
+    (22, 1e-25),
+    (23.5, 1e-18),
+    (0, 1e-14),
+    (10, 1e-3),
 )
 lessons.show(figure, "03_opacity_and_masking_slope")
 

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can take a gradient through a sigmoid, through a factor that
 # several outputs share, and through a normalised quaternion. **Before it:** `02_view`,
-# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 30 minutes of
+# `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 25 minutes of
 # reading and 35 of exercises.
 #
 # **Files:** Eq. (3) [color.py](../p4dgs_ref/equations/color.py),
@@ -135,13 +135,12 @@ figure, axes = plt.subplots(
     sharey=True,
     layout="constrained",
 )
-dashed = {"fc": "0.9", "ec": "0.4", "ls": "--", "lw": 2, "label": "scale of the anchor $s_a$"}
+dashed = {"fc": "0.9", "ec": "0.4", "ls": "--", "lw": 2}
 for a, ax in enumerate(axes):
     outline(ax, (0, 0), own[a], np.array([1.0, 0, 0, 0]), **dashed)
     for j in range(k):
         angle = 2 * np.pi * j / k
         place = (1.05 * np.cos(angle), 1.05 * np.sin(angle))
-        label = "children" if j == 0 else None
         outline(
             ax,
             place,
@@ -150,17 +149,13 @@ for a, ax in enumerate(axes):
             fc=colors[a, j],
             ec="k",
             lw=1,
-            label=label,
         )
     ax.set(
         title=f"anchor {a}", xlabel="x (scene units)", aspect="equal", xlim=(-2, 2), ylim=(-2, 2)
     )
 axes[0].set_ylabel("y (scene units)")
-axes[1].legend(
-    loc="upper center",
-    bbox_to_anchor=(0.5, -0.16),
-    ncols=2,
-)
+axes[0].text(0, 0, "scale $s_a$ of\nthe anchor", ha="center", va="center")
+axes[0].text(1.2, 0.3, "child")
 lessons.show(
     figure,
     "04_color_rotation_scale",
@@ -297,7 +292,6 @@ ax.add_patch(
         fill=False,
         lw=2,
         color="0.4",
-        label="unit quaternions $r$",
     )
 )
 ax.plot(
@@ -306,7 +300,6 @@ ax.plot(
     "o",
     ms=6,
     color=lessons.COLORS[6],
-    label=r"outputs $\psi_r$",
 )
 ax.quiver(
     *(circles[:, 0], circles[:, 1]),
@@ -318,12 +311,9 @@ ax.quiver(
     width=0.008,
     zorder=3,
 )
-ax.plot(
-    [],
-    [],
-    color=red,
-    label=r"gradient $\bar\psi_r$",
-)
+ax.text(0, 1.42, "unit quaternions $r$", color="0.4", ha="center")
+ax.text(1.3, -0.62, r"output $\psi_r$")
+ax.text(1.3, 0.68, r"its gradient $\bar\psi_r$", color=red)
 thick = {"width": 3, "headwidth": 11, "color": blue}
 ax.annotate("", (-2.5, 0.225), (-2.5, -0.225), arrowprops=thick)
 ax.text(
@@ -343,13 +333,6 @@ lessons.finish(
     ylim=(-2.6, 2.6),
     title="Normalising removes the radial part of a gradient",
     title_size=15,
-    legend={
-        "loc": "upper center",
-        "bbox_to_anchor": (0.5, -0.12),
-        "ncols": 3,
-        "fontsize": 11,
-        "columnspacing": 1,
-    },
 )
 lessons.show(figure, "04_color_rotation_scale_quaternion")
 
@@ -395,7 +378,8 @@ assert abs(bar @ r / n[0]) > 0.1
 # The file contains no colour, rotation or scale of any Gaussian, because the anchor's feature and
 # the three numbers $s_a$ determine them all. A Gaussian written out has 14 numbers, without view
 # dependence: position, scale, rotation, opacity and colour. The cell compares ten Gaussians with
-# one anchor of ten children, in the paper's sizes.
+# one anchor of ten children, in the paper's sizes. [See it move](viewer/demo.html#step=3): one
+# anchor's feature, and the children that the networks make of it.
 
 # %%
 d, k = 16, 10

@@ -4,7 +4,7 @@
 # **Promise.** After this tutorial you can encode a number as waves, derive the gradient of the
 # encoding, and explain why the pipeline does not use it. **Before it:** `01_offsets`,
 # `03_opacity_and_masking`. **Takes** two seconds of machine time on two cores, 30 minutes of
-# reading and 30 of exercises.
+# reading and 35 of exercises.
 #
 # **Files:** [positional_encoding.py](../p4dgs_ref/equations/positional_encoding.py),
 # Eq. (5) [deformation.py](../p4dgs_ref/equations/deformation.py).
@@ -363,8 +363,8 @@ ax.bar(
     range(L_x),
     strength,
     color=lessons.COLORS[1],
-    label=r"through wave $j$ of $\mathcal{E}(x)$: not used (Q10)",
 )
+ax.text(1.1, 9, "through wave $j$ of\n$\\mathcal{E}(x)$: not used (Q10)", color=lessons.COLORS[1])
 ax.axhline(direct, color=lessons.COLORS[0], label=r"through $x' = x + \Delta x$: used")
 lessons.finish(
     ax,
@@ -374,8 +374,8 @@ lessons.finish(
     xticks=range(L_x),
     title="With random weights, the fastest wave would dominate the gradient",
     title_size=14,
-    legend={},
 )
+lessons.label(ax, (-0.7, 1.2), fontsize=11)
 lessons.show(figure, "05_positional_encoding_and_deformation_gradient")
 
 # %% [markdown]
@@ -415,8 +415,9 @@ print(f"ten numbers for 20,000 Gaussians at 100 times would take {2 * 10 * 20_00
 
 # %% [markdown]
 # ## Exercises
-# **05.1** ● $\mathcal{E}(p) = (p, \sin p, \cos p, \sin 2p, \cos 2p)$ at $p = 0$, and all cotangents
-# are one. What is $\bar p$?
+# **05.1** ●● A camera's clock may be wrong, so the time of its picture becomes a parameter $t$, and
+# three Gaussians share it. Every row has its own copy of $\mathcal{E}(t)$, and all cotangents are
+# one. What changes in the gradient? Give $\bar t$ at $t = 0$ with $2$ and with $10$ frequencies.
 #
 # **05.2** ●● Write the backward of $\mathcal{E}$ for vectors.
 #

@@ -96,14 +96,12 @@ ax.plot(
     3.2 * fine * (1 - fine),
     "k:",
     lw=1.5,
-    label=r"$x + \Delta x(t)$",
 )
 for i, t in enumerate(times):
     variances, axes_of = np.linalg.eigh(Sigma[i, :2, :2])
     width, height = 2 * np.sqrt(variances)
     tilt = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
     color = "0.6" if i == 0 else lessons.COLORS[0]
-    label = {0: "canonical", 1: "at time t"}.get(i)
     u, v, _ = track[i]
     shape = Ellipse(
         (u, v),
@@ -113,7 +111,6 @@ for i, t in enumerate(times):
         alpha=0.75,
         fc=color,
         ec="k",
-        label=label,
     )
     ax.add_patch(shape)
     ax.text(
@@ -123,6 +120,9 @@ for i, t in enumerate(times):
         ha="center",
         fontsize=12,
     )
+ax.text(1.7, 0.8, r"$x + \Delta x(t)$")
+ax.text(-0.4, 0.1, "canonical", color="0.4")
+ax.text(0.25, 0.65, "at time t", color=lessons.COLORS[0])
 lessons.finish(
     ax,
     xlabel="x (scene units)",
@@ -132,7 +132,6 @@ lessons.finish(
     ylim=(-0.65, 1.35),
     title="One canonical Gaussian at six times: thrown, stretched, rotated",
     title_size=15,
-    legend={"loc": "upper right", "fontsize": 12},
 )
 lessons.show(figure, "06_deformed")
 
@@ -269,8 +268,8 @@ lessons.finish(
     ylim=(0, None),
     title="Without the second normalisation a rotation inflates the Gaussian",
     title_size=15,
-    legend={"loc": "lower left"},
 )
+lessons.label(ax, (0.7, 1.75), (0.5, 3))
 lessons.show(figure, "06_deformed_inflated")
 
 # %% [markdown]
@@ -278,6 +277,7 @@ lessons.show(figure, "06_deformed_inflated")
 # This is inter prediction: the canonical Gaussians are the reference frame and $\Delta x$ is the
 # motion vector. Unlike in a video codec, no residual follows, so whatever $\psi_d$ cannot express
 # is not shown. One more frame costs no byte. What costs bytes is each head of $\psi_d$.
+# [See it move](viewer/demo.html#step=4): the paths of the demo's Gaussians, and where they begin.
 
 # %%
 from p4dgs_ref import PRESETS, effects

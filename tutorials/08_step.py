@@ -191,8 +191,8 @@ lessons.finish(
     xlim=(-8, 4),
     ylim=(1e-4, 4),
     title="A step can be a thousand times smaller than $Q_0$",
-    legend={"loc": "lower right"},
 )
+lessons.label(left, (-1.6, 2e-2), (-7.8, 1.3e-3))
 for form, color, name in (
     (printed_form, red, r"$1 + \tanh u$"),
     (sigmoid_form, blue, r"$2\,$sigmoid$(2u)$"),
@@ -221,7 +221,14 @@ lessons.finish(
     xlim=(-20, 4),
     ylim=(1e-17, 30),
     title="The printed form loses every digit, the sigmoid form none",
-    legend={"loc": (0.02, 0.17), "fontsize": 11},
+)
+lessons.label(
+    right,
+    (-19.5, 3),
+    (-14.6, 1e-12),
+    (-18.8, 3e-10),
+    (-19.5, 2e-15),
+    fontsize=11,
 )
 lessons.show(figure, "08_step")
 
@@ -326,7 +333,7 @@ assert report.first.id == "step_floor/beside_the_floor"
 # A video encoder changes its quantisation parameter from block to block and sends the changes. Here
 # nothing is sent, because the decoder and the encoder both compute $q$ from the grid. The cell
 # shows the steps of the model in the golden vectors, whose parameters were drawn at random, not
-# trained.
+# trained. [See it move](viewer/demo.html#step=5): the demo with coarser and coarser steps.
 
 # %%
 from p4dgs_ref.report.inspect import float_context
@@ -342,34 +349,32 @@ for group, column in zip("fslO", share.T):
 # ## Exercises
 # **08.1** ● At which $u$ is the step half of $Q_0$?
 #
-# **08.2** ●● Write Eq. (8) with its floor. You may use
-# `u, saved = mlp.forward(x, weights, biases)`.
+# **08.2** ●● The four groups share one $u$, so that $\psi_q$ needs one column. What changes in the
+# gradient? Give $\bar u$ at the $u$ of 08.1, for $Q_0 = (0.25, 0.01, 0.01, 0.1)$ and
+# $\bar q = (1, -10, 20, 4)$, and $\bar u$ at $u = -5$, where the floor applies.
 #
-# **08.3** ●● Write its backward, with the slope 0 on the floor. `mlp.backward(saved, u_bar)`
-# returns a dictionary of `"x"`, `"weights"` and `"biases"`.
+# **08.3** ●● Write the backward of Eq. (8), with the slope 0 on the floor. You may use
+# `u, saved = mlp.forward(x, weights, biases)`; `mlp.backward(saved, u_bar)` returns a dictionary of
+# `"x"`, `"weights"` and `"biases"`.
 #
 # **Predict, then run.** A port computes $1 + \tanh u$ in float16, as it is printed. What does it
 # return at $u = -4$ and at $u = -5$? The true values are $0.00067$ and $0.000091$.
 
 # %%
 answer_1 = ...
-
-
-def my_forward(h, weights, biases, Q_0):
-    """Return q [A, G], which is nowhere below step.SMALLEST * Q_0, for h [A, I] and Q_0 [G]."""
-    raise NotImplementedError
+answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
     """Return the gradients {"h": array [A, I], "weights": list, "biases": list}.
 
-    `inputs` has the names of `my_forward`, and cotangents["q_bar"] has the shape [A, G].
+    `inputs` has these names and "Q_0" [G], and cotangents["q_bar"] has the shape [A, G].
     """
     raise NotImplementedError
 
 
 lessons.check_number("08.1", answer_1)
-lessons.check_forward("08.2", my_forward, "step")
+lessons.check_number("08.2", answer_2)
 lessons.check_backward("08.3", my_backward, "step")
 
 # %% [markdown]

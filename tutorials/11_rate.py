@@ -222,8 +222,8 @@ lessons.finish(
     ylim=(0, 1.1),
     ylabel="$R_{hash}/N$\n(bits per entry)",
     title="Descent drives the signs to the majority",
-    legend={"loc": "lower center"},
 )
+lessons.label(axes["cost"], (0.43, 0.6))
 axes["slope"].plot(share, slope, color=red)
 axes["slope"].axhline(0, color="0.4", lw=1)
 axes["slope"].set(
@@ -236,24 +236,17 @@ right = axes["bytes"]
 for y, section in enumerate(reversed(sections)):
     color, label = light, f" {section['bytes']}"
     if section["name"] in IN_13 + IN_14:
-        color = blue if section["name"] in IN_13 else orange
-        label += f", by the equation {section['estimate_bytes']:.0f}"
+        color, number = (blue, 13) if section["name"] in IN_13 else (orange, 14)
+        label += f", by Eq. ({number}) {section['estimate_bytes']:.0f}"
     right.barh(y, section["bytes"], color=color)
     right.text(section["bytes"], y, label, va="center")
-for color, label in (
-    (blue, "in Eq. (13)"),
-    (orange, "in Eq. (14)"),
-    (light, "in the file, in no equation"),
-):
-    right.barh(0, 0, color=color, label=label)
 right.set(
     xlim=(0, 4800),
     xlabel="bytes",
-    title="Which sections the rate describes",
+    title="Which sections the rate describes: not the light ones",
 )
 right.set_yticks(range(len(sections)), [section["name"] for section in reversed(sections)])
 right.grid(False, axis="y")
-right.legend(loc="upper right")
 lessons.show(figure, "11_rate")
 
 # %% [markdown]
@@ -279,7 +272,8 @@ with np.errstate(invalid="ignore"):
 # The rate is an estimate; what counts is the file. Here, each section is 5 to 10 bytes longer than
 # the equations say, because of the last state of the coder, a short header and the rounding to
 # whole bytes. Positions, masks and networks are in no equation. What each anchor of a file costs is
-# drawn by `p4dgs-ref inspect FILE -o DIR --heat`.
+# drawn by `p4dgs-ref inspect FILE -o DIR --heat`. [See it move](viewer/demo.html#step=7): the bits
+# of each anchor in colour, and what fewer would cost.
 
 # %%
 coded = [section for section in sections if section["name"] in IN_13 + IN_14]
@@ -298,14 +292,18 @@ print(f"Eq. (17) describes {100 * in_rate / in_file:.0f} % of this file, which h
 # **11.2** ●● Write the backward of Eq. (14). All levels have the same slope, which depends on the
 # signs of all levels.
 #
-# **11.3** ● Write Eq. (17): the bits, and the bits per parameter. If there are no parameters, the
-# loss is $0$.
+# **11.3** ●● Every level of the grid gets a $p_+$ of its own. What changes in the gradient? Of two
+# levels of $8$ signs, one has $2$ positive signs and the other one $6$, and all $|\theta| < 1$.
+# Give the slopes `[2, 2]` of $R_{hash}$ in a $\theta$ of each level: with one $p_+$ for both, then
+# with two.
 #
 # **Predict, then run.** Every parameter of the hash grid changes its sign. What happens to
 # $R_{hash}$, and what to its gradient?
 
-
 # %%
+answer_3 = ...
+
+
 def my_anchor_backward(inputs, cotangents):
     """Return the gradients {"bits_f", "bits_s", "bits_l", "bits_O"} in the shapes of these inputs.
 
@@ -322,14 +320,9 @@ def my_hash_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-def my_rate(R_anchor, R_hash, n_parameters):
-    """Return the numbers bits and L_rate, in this order."""
-    raise NotImplementedError
-
-
 lessons.check_backward("11.1", my_anchor_backward, "anchor_rate")
 lessons.check_backward("11.2", my_hash_backward, "hash_rate")
-lessons.check_forward("11.3", my_rate, "rate_loss")
+lessons.check_number("11.3", answer_3)
 
 # %% [markdown]
 # ## Check your port

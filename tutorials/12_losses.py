@@ -340,7 +340,7 @@ for (price, i), color in zip(best.items(), lessons.COLORS):
         reach,
         line,
         color=color,
-        label=rf"slope $-\lambda$, $\lambda$ = {price}",
+        label=rf"$\lambda$ = {price}",
     )
     ax.plot(
         rate[i],
@@ -353,9 +353,16 @@ lessons.finish(
     ax,
     xlabel="rate (bits per number)",
     ylabel=r"$\mathcal{L}_{render}$",
-    ylim=(-0.01, None),
-    title=r"$\lambda_{rate}$ chooses the point where its line touches the curve",
-    legend={},
+    ylim=(-0.02, None),
+    title=r"$\lambda_{rate}$ chooses the point that a line of slope $-\lambda$ touches",
+)
+lessons.label(
+    ax,
+    (1.55, 0.14),
+    (4.2, 0.003),
+    (3.3, 0.013),
+    (2.35, -0.013),
+    (0.3, 0.185),
 )
 lessons.show(figure, "12_losses_rate")
 

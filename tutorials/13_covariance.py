@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can turn a quaternion into an ellipsoid by hand, and send a
 # gradient of the ellipsoid back to the quaternion. **Before it:** `01_offsets`, `02_view`.
-# **Takes** five seconds of machine time on two cores, 30 minutes of reading and 30 of exercises.
+# **Takes** five seconds of machine time on two cores, 30 minutes of reading and 35 of exercises.
 #
 # **File:** [covariance.py](../p4dgs_ref/splatting/covariance.py).
 
@@ -86,12 +86,6 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
         color = lessons.COLORS[j]
         arrow = {"arrowstyle": "-|>", "lw": 3, "color": color}
         ax.annotate("", M[:, j], (0, 0), arrowprops=arrow)
-        ax.plot(
-            [],
-            [],
-            color=color,
-            label=f"column {j + 1} of RS, length $s_{j + 1}$",
-        )
     (a, b), (_, c) = M @ M.T
     quaternion = f"{degrees}°: w = {w:.3f}, z = {z:.3f}"
     ax.set(
@@ -102,7 +96,9 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
         ylim=(-3.4, 3.4),
     )
 panels[0].set_ylabel("y (scene units)")
-figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+for j, height in enumerate((-2.4, 1.4)):
+    column = f"column {j + 1} of RS,\nlength $s_{j + 1}$"
+    panels[0].text(-2.8, height, column, color=lessons.COLORS[j])
 lessons.show(
     figure,
     "13_covariance",
@@ -338,7 +334,7 @@ left.plot(
     label="target",
 )
 for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
-    left.plot(*outline(shapes[step]), color=color, label=f"after {step} steps")
+    left.plot(*outline(shapes[step]), color=color)
     right.semilogy(
         step,
         losses[step],
@@ -346,16 +342,18 @@ for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
         ms=10,
         color=color,
     )
+    right.text(step + 4, losses[step], f"after {step} steps", color=color, va="center")
 lessons.finish(
     left,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
     title="The Gaussian, seen along z (1 sigma)",
-    legend={"fontsize": 11, "loc": "center left", "bbox_to_anchor": (1, 0.5)},
 )
+lessons.label(left, (-0.2, 0))
 right.semilogy(losses, color="0.4", zorder=0)
 right.set(
+    xlim=(-6, 205),
     xlabel="steps of gradient descent",
     ylabel="scene units$^4$",
     title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$",
@@ -428,32 +426,32 @@ assert share_of_invalid(of_rounded) == 0
 # **13.1** ● Compute $\Sigma$ `[3, 3]` of $r = (\frac12, \frac12, \frac12, \frac12)$ and
 # $s = (1, 2, 3)$ by hand. Where does each axis go?
 #
-# **13.2** ●● Write the forward.
+# **13.2** ●● The three axes share the logarithm of one scale, $s = (e^l, e^l, e^l)$. What changes
+# in the gradient? For $e^l = \frac12$, the $r$ of 13.1 and $\bar\Sigma$ with the rows $(0, 1, 2)$,
+# $(3, 4, 5)$ and $(6, 7, 8)$, give five numbers: $\bar l$, and the part of $\bar r$ that is
+# perpendicular to $r$.
 #
-# **13.3** ●●● Write its backward.
+# **13.3** ●●● Write the backward of the covariance.
 #
 # **Predict, then run.** A quaternion $r$ is replaced by $-r$. What happens to $\Sigma$, and what
 # to $\bar r$?
 
 # %%
 answer_1 = ...
-
-
-def my_forward(s, r):
-    """Return Sigma [N, 3, 3] for s [N, 3] and unit quaternions r [N, 4], real part first."""
-    raise NotImplementedError
+answer_2 = ...
 
 
 def my_backward(inputs, cotangents):
-    """Return the gradients {"s", "r"}.
+    """Return the gradients {"s" [N, 3], "r" [N, 4]} for inputs of these names and shapes.
 
-    cotangents["Sigma_bar"] has the shape [N, 3, 3] and need not be symmetric.
+    The real part of r stands first. cotangents["Sigma_bar"] has the shape [N, 3, 3] and need not be
+    symmetric.
     """
     raise NotImplementedError
 
 
 lessons.check_number("13.1", answer_1)
-lessons.check_forward("13.2", my_forward, "covariance")
+lessons.check_number("13.2", answer_2)
 lessons.check_backward("13.3", my_backward, "covariance")
 
 # %% [markdown]

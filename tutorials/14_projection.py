@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can project a Gaussian by hand, and follow a gradient from
 # its conic back to its position and shape. **Before it:** `13_covariance`. **Takes** six seconds of
-# machine time on two cores, 40 minutes of reading and 40 of exercises.
+# machine time on two cores, 45 minutes of reading and 40 of exercises.
 #
 # **File:** [projection.py](../p4dgs_ref/splatting/projection.py).
 
@@ -99,7 +99,6 @@ for name, mean, deviation, color in (
         ms=4,
         color=color,
         alpha=0.5,
-        label=f"{name}: points",
     )
     seen = pixel(x, z)[z > 0.2]
     limits = (-90, 80)
@@ -110,28 +109,22 @@ for name, mean, deviation, color in (
         density=True,
         fc=color,
         alpha=0.4,
-        label=f"{name}: points",
     )
     on_row.plot(
         u,
         predicted,
         color=color,
-        label=f"{name}: predicted by J",
+        label=f"{name}: points, and\npredicted by J (line)",
     )
-above.plot(
-    0,
-    0,
-    "k^",
-    ms=14,
-    ls="none",
-    label="camera",
-)
+    above.text(mean[0], mean[1] + 3 * deviation[1], name, color=color)
+above.plot(0, 0, "k^", ms=14)
+above.text(0.2, -0.05, "camera")
+above.text(-2.3, 3, "edge of\nthe image")
 above.plot(
     [-1.6, 0, 1.6],
     [4, 0, 4],
     "k-",
     lw=1,
-    label="edge of the image",
 )
 lessons.finish(
     above,
@@ -139,7 +132,6 @@ lessons.finish(
     ylabel="depth z (scene units)",
     xlim=(-2.4, 2.4),
     title="From above",
-    legend={"fontsize": 11},
 )
 lessons.finish(
     on_row,
@@ -147,8 +139,8 @@ lessons.finish(
     ylabel="density (1/pixel)",
     xlim=(-90, 80),
     title="On the row of pixels",
-    legend={"fontsize": 11},
 )
+lessons.label(on_row, (-12, 0.07), (-85, 0.025))
 lessons.show(
     figure,
     "14_projection_line",
@@ -225,20 +217,110 @@ ax.axvspan(
     0,
     0.4,
     color="0.9",
-    label="inside the image",
 )
+ax.text(0.2, 24, "inside\nthe image", ha="center")
 lessons.finish(
     ax,
     xlabel="x/z, how far to the side",
     ylabel="standard deviation in u (pixels)",
     title="The clamp keeps Gaussians beside the image small",
-    legend={},
 )
+lessons.label(ax, (0.95, 19.5), (1.8, 10.6))
 lessons.show(figure, "14_projection_clamp")
 
 # %% [markdown]
 # ## Backward by hand
-# We now take the steps in reverse: conic, covariance, $JW$, clamp, ratio, camera.
+# We begin with the flat example, where every step is one number. The cell writes each step as what
+# it reads, its formula and its slopes, then goes through them in reverse. What flows back along an
+# edge is the gradient of the step at its end, times the slope of this step. The depth $z$ and the
+# slope $m_1 = f/z$ are read twice, so their gradients are sums over two edges. The cotangents are
+# $\bar\mu = 2$ and, for the conic, $\bar k = 100$.
+
+# %%
+STEPS = {  # what a step reads, its formula, and its slopes in what it reads
+    "rho": (("x", "z"), lambda x, z: x / z, lambda x, z: (1 / z, -x / z**2)),
+    "mu": (("rho",), lambda rho: f * rho + c, lambda rho: (f,)),
+    "m_1": (("z",), lambda z: f / z, lambda z: (-f / z**2,)),
+    "m_2": (("rho", "m_1"), lambda rho, m_1: -rho * m_1, lambda rho, m_1: (-m_1, -rho)),
+    "v": (
+        ("m_1", "m_2", "S_1", "S_2"),
+        lambda m_1, m_2, S_1, S_2: m_1**2 * S_1 + m_2**2 * S_2 + 0.3,
+        lambda m_1, m_2, S_1, S_2: (2 * m_1 * S_1, 2 * m_2 * S_2, m_1**2, m_2**2),
+    ),
+    "k": (("v",), lambda v: 1 / v, lambda v: (-1 / v**2,)),
+}
+FLAT = {"x": 1, "z": 4, "S_1": 0.04, "S_2": 0.16}
+COTANGENTS = {"mu": 2, "k": 100}
+
+
+def values_of(given):
+    """Return the values of what is given and of all steps."""
+    value = dict(given)
+    for step, (reads, formula, _) in STEPS.items():
+        value[step] = formula(*(value[name] for name in reads))
+    return value
+
+
+value = values_of(FLAT)
+gradient = dict.fromkeys(value, 0) | COTANGENTS
+back_along = {}  # (what is read, step): the gradient that flows back along this edge
+for step, (reads, _, slopes) in reversed(STEPS.items()):
+    for name, slope in zip(reads, slopes(*(value[name] for name in reads))):
+        back_along[name, step] = gradient[step] * slope
+        gradient[name] += back_along[name, step]
+for name in FLAT:
+    up, down = (values_of(FLAT | {name: FLAT[name] + step}) for step in (h, -h))
+    assert close((inner(up, COTANGENTS) - inner(down, COTANGENTS)) / (2 * h), gradient[name], 1e-7)
+    print(f"gradient of {name}: {gradient[name]:.4g}")
+
+# %%
+PLACES = {
+    "x": (0, 5, "$x$"),
+    "z": (0, 2.2, "$z$"),
+    "rho": (3, 5, r"$\rho = x/z$"),
+    "m_1": (3, 2.2, "$m_1 = f/z$"),
+    "m_2": (6, 3.9, r"$m_2 = -\rho\,m_1$"),
+    "S_1": (6, 1.1, r"$\Sigma_{11}$"),
+    "S_2": (6, -1.1, r"$\Sigma_{22}$"),
+    "mu": (10, 5, r"$\mu = f\rho + c$"),
+    "v": (9.6, 2.2, "$v = m_1^2\\Sigma_{11}$\n$+\\; m_2^2\\Sigma_{22} + 0.3$"),
+    "k": (13, 2.2, "$k = 1/v$"),
+    "to mu": (13, 5, ""),
+    "to k": (15.4, 2.2, ""),
+}
+figure, ax = plt.subplots(figsize=(13, 6), layout="constrained")
+frame = {"boxstyle": "round", "fc": "0.93", "ec": "0.5"}
+boxes = {}
+for name, (across, up, formula) in PLACES.items():
+    text = ax.text(across, up, formula, ha="center", va="center", fontsize=14, bbox=frame)
+    boxes[name] = text.get_bbox_patch()
+    text.set_visible(bool(formula))
+ends = {(name, f"to {name}"): bar for name, bar in COTANGENTS.items()}
+for (name, step), bar in (back_along | ends).items():
+    start, end = np.array(PLACES[name][:2]), np.array(PLACES[step][:2])
+    arrow = {"arrowstyle": "-|>", "color": "0.4", "patchA": boxes[name], "patchB": boxes[step]}
+    ax.annotate("", end, start, arrowprops=arrow)
+    middle, up = (start + end) / 2
+    for number, height, color in ((value[name], up + 0.25, "C0"), (bar, up - 0.25, "C1")):
+        ax.text(
+            middle,
+            height,
+            f"{number:.4g}",
+            color=color,
+            ha="center",
+            va="center",
+            bbox={"fc": "w", "ec": "none", "pad": 0.5},
+        )
+ax.set(xlim=(-0.6, 15.6), ylim=(-1.6, 5.8))
+ax.axis("off")
+lessons.show(
+    figure,
+    "14_projection_graph",
+    title="The flat example: values (blue, above an edge) and gradients (red, below it)",
+)
+
+# %% [markdown]
+# Now all steps with three axes, in reverse: conic, covariance, $JW$, clamp, ratio, camera.
 #
 # **First a convention**, on which ports disagree. The symmetric matrix contains $b$ *twice*, but
 # $b$ is *one* number of the output. So $\bar b$ says how the loss changes if both entries change
@@ -418,14 +500,7 @@ assert (of_size[:, 2] < 0).all()
 def draw_arrows(ax, arrows, color, title):
     """Draw the gradients of the Gaussians on the grid, seen from above."""
     x, _, z = grid.T
-    ax.plot(
-        0,
-        0,
-        "k^",
-        ms=14,
-        ls="none",
-        label="camera",
-    )
+    ax.plot(0, 0, "k^", ms=14)
     for place_x, place_z in zip(x, z):
         ax.plot(
             [0, place_x],
@@ -444,18 +519,11 @@ def draw_arrows(ax, arrows, color, title):
         width=0.008,
     )
     ax.plot(
-        [],
-        [],
-        color=color,
-        label=r"gradient $\bar x$",
-    )
-    ax.plot(
         x,
         z,
         "o",
         ms=5,
         color="0.4",
-        label="Gaussians",
     )
     ax.set(
         title=title,
@@ -476,7 +544,9 @@ figure, (left, right) = plt.subplots(
 draw_arrows(left, of_mean, "C0", r"one pixel to the right, $\bar\mu_x = 1$: across the ray")
 draw_arrows(right, of_size, "C1", r"a larger splat, $\bar a = \bar c = 1$: towards the camera")
 left.set_ylabel("depth z (scene units)")
-right.legend(loc="lower right", fontsize=11)
+left.text(0.2, -0.05, "camera")
+left.text(1.3, 4.05, "Gaussian", color="0.4")
+left.text(1.3, 1.3, "its gradient\n$\\bar x$", color="C0")
 lessons.show(
     figure, "14_projection", title="How cotangents in the image move a Gaussian, seen from above"
 )

@@ -71,21 +71,21 @@ assert np.isclose(behind[-1], pixel)
 
 # %%
 figure, (light, over) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
-light.bar(range(4), T, color="0.85", label="light that arrives, $T_i$")
+light.bar(range(4), T, color="0.85")
 light.bar(
     range(4),
     [*weight, T[3]],
     color=lessons.COLORS[0],
     width=0.6,
-    label=r"light that is used, $\alpha_i T_i$",
 )
+light.text(0.5, 0.8, "light that arrives, $T_i$", color="0.4")
+light.text(0.5, 0.7, r"light that is used, $\alpha_i T_i$", color=lessons.COLORS[0])
 lessons.finish(
     light,
     xticks=range(4),
     xticklabels=["layer 0", "layer 1", "layer 2", "background"],
     ylabel="share of light",
     title="From the front: how much is seen",
-    legend={},
 )
 over.plot(
     range(-1, 3),
@@ -115,9 +115,9 @@ lessons.finish(
     xlabel="layer",
     ylabel="gray value",
     title="From the back: what is seen",
-    ylim=(-0.1, 1.35),
-    legend={"loc": "upper left", "fontsize": 11},
+    ylim=(-0.1, 1.15),
 )
+lessons.label(over, (0.05, 0.85), (0.1, 0.06))
 lessons.show(
     figure, "15_compositing_pixel", title="One pixel, three layers: two ways to the same value"
 )
@@ -572,8 +572,9 @@ assert psnr_of(~most) < 15
 
 # %% [markdown]
 # ## Exercises
-# **15.1** ●● In the pixel of "By hand", layer $1$ turns white. Give four numbers: the pixel and,
-# for $g = 1$, the three gradients $\bar\alpha_i$.
+# **15.1** ●● In the pixel of "By hand", layer $1$ turns white, and as in `NeRF` every layer stores
+# a thickness $\tau_i$, with $\alpha_i = 1 - e^{-\tau_i}$. What changes in the gradient? Give four
+# numbers: the pixel and, for $g = 1$, the three gradients $\bar\tau_i$.
 #
 # **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$. An exponent
 # that rounding makes positive, far along a needle, counts as $0$.

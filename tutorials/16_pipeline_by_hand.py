@@ -467,22 +467,23 @@ for i, child in enumerate(moved):
     a, b, c = splat(child)["cov2d"]
     root = np.linalg.cholesky([[a, b], [b, c]])
     outline = root @ circle + np.array(splat(child)["mean2d"])[:, None]
-    scene.plot(*outline, color=f"C{i + 1}", label=f"child {i}, one standard deviation")
-scene.plot(*p, "s", ms=11, mfc="none", mec="k", mew=2.5, ls="none", label="our pixel")
+    scene.plot(*outline, color=f"C{i + 1}", label=f"child {i}")
+scene.plot(*p, "s", ms=11, mfc="none", mec="k", mew=2.5)
 lessons.finish(
     scene,
     xlabel="u (pixels)",
     ylabel="v (pixels)",
-    title="Our anchor's two children at t = 0.5",
-    legend={"fontsize": 10, "loc": "lower left"},
+    title="Our anchor's two children at t = 0.5 (1 sigma)",
 )
+lessons.label(scene, (22, 15), (6, 21))
+scene.text(17, 8, "our pixel")
 bottom = np.zeros(3)
 looks = (
-    ("child 0", "//", "C1"),
-    ("child 1", "..", "C2"),
-    ("background", "", "0.9"),
+    ("child 0", "//", "C1", "C1"),
+    ("child 1", "..", "C2", "C2"),
+    ("background", "", "0.9", "k"),
 )
-for (weight, color), (name, hatch, paint) in zip(parts, looks):
+for (weight, color), (name, hatch, paint, ink) in zip(parts, looks):
     height = weight * np.array(color)
     bars.bar(
         range(3),
@@ -491,8 +492,8 @@ for (weight, color), (name, hatch, paint) in zip(parts, looks):
         color=paint,
         hatch=hatch,
         edgecolor="k",
-        label=name,
     )
+    bars.text(2.5, bottom[2] + height[2] / 2, name, color=ink, va="center")
     bottom += height
 bars.grid(axis="x", visible=False)
 lessons.finish(
@@ -501,8 +502,8 @@ lessons.finish(
     xticklabels=["red", "green", "blue"],
     ylabel="value",
     title="The contributions to our pixel",
-    ylim=(0, 1),
-    legend={"fontsize": 11},
+    xlim=(-0.5, 3.5),
+    ylim=(0, 0.7),
 )
 lessons.show(figure, "16_pipeline_by_hand")
 

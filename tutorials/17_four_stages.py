@@ -161,7 +161,7 @@ for name, shade, start, end in zip(names, ("0.93", "0.85") * 2, (0, *ends), ends
     for ax in (top, low):
         ax.axvspan(start, end, color=shade, lw=0)
     top.text((start + end) / 2, 28.2, name, ha="center", va="top", fontsize=13)
-top.plot(iteration, decibel, ".", ms=3, color="0.6", label="one training view")
+top.plot(iteration, decibel, ".", ms=3, color="0.4", label="one training view")
 top.plot(iteration[14:], smooth(decibel), color="C0", label="mean of 15")
 top.plot(ends, scores, "D", ms=10, color="C1", ls="none", label="test views")
 lessons.finish(
@@ -170,7 +170,12 @@ lessons.finish(
     xlim=(0, 540),
     ylim=(10, 28.5),
     title="Each stage switches something on; the rate exists only in the last",
-    legend={"loc": "lower right", "framealpha": 1},
+)
+lessons.label(
+    top,
+    (335, 20.5),
+    (115, 22.6),
+    (95, 14.3),
 )
 low.plot(iteration[rate > 0], rate[rate > 0], color="C2")
 low.set(

@@ -318,8 +318,8 @@ lessons.finish(
     made_of,
     title="The four parts of the feature's move",
     xlabel="change of the feature, $10^{-3}$",
-    legend={},
 )
+lessons.label(made_of, (1e3 * move - 0.01, 3.4), ha="right")
 lessons.show(figure, "18_one_training_step")
 
 # %% [markdown]

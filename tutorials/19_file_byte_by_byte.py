@@ -294,7 +294,7 @@ assert table_bits[-1] < 24 * d < estimate.sum(axis=1)[-1]
 # %%
 figure, axes = plt.subplots(figsize=(9, 5))
 axes.plot(steps_up, estimate.sum(axis=1), label="estimate, Eq. (11)")
-axes.step(steps_up, table_bits, where="mid", label="ideal bits under the integer tables")
+axes.step(steps_up, table_bits, where="mid", label="ideal bits under\nthe integer tables")
 axes.step(
     steps_up,
     8 * (np.array(lengths) - len(golden)),
@@ -307,7 +307,13 @@ lessons.finish(
     xlabel="how far the features of anchor 7 are moved (in steps q)",
     ylabel="bits",
     title="The estimate has a slope, the file is a staircase",
-    legend={"fontsize": 11},
+)
+lessons.label(
+    axes,
+    (5.9, 142),
+    (3.2, 92),
+    (-5.4, 4),
+    fontsize=11,
 )
 lessons.show(figure, "19_what_no_gradient_sees")
 
@@ -351,6 +357,7 @@ assert opened > tried / 2
 # sets first, then coded symbols. In the trained model, the four sections that prediction and
 # context modelling act on have 748 of 9730 bytes, and most of the rest are networks. The scenes
 # of the paper have many more anchors, so their attributes weigh more and the frame hardly counts.
+# [See it move](viewer/demo.html#step=7): the demo's file as a strip of bytes.
 
 # %%
 sizes = dict(container.layout(golden))

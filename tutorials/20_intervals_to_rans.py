@@ -312,8 +312,8 @@ lessons.finish(
     xlabel="features pushed",
     ylabel="bits",
     title="The state grows by the bits that the prior predicted",
-    legend={},
 )
+lessons.label(growing, (235, 430), (50, 560))
 lessons.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]

@@ -214,7 +214,7 @@ figure, (left, middle, errors) = plt.subplots(
 show.picture(left, before, camera, title="What was sent")
 show.picture(middle, after, camera, title="One ulp later")
 errors.plot(np.abs(received - sent), ".", ms=3, color=lessons.COLORS[1])
-errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ of symbol {victim}")
+errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ\nof symbol {victim}")
 lessons.finish(
     errors,
     yscale="symlog",
@@ -222,8 +222,8 @@ lessons.finish(
     xlabel="symbol in the message",
     ylabel="|received − sent| (steps q)",
     title="All symbols are right,\nthen nearly all are wrong",
-    legend={"loc": "upper left"},
 )
+lessons.label(errors, (victim + 150, 450))
 lessons.show(figure, "21_desync")
 
 # %% [markdown]
@@ -344,7 +344,7 @@ assert 0.8 < crossings < 1.3
 # tolerance, and pictures drifted apart; `H.264` specifies it in integers. `codec/context.py` does
 # the same for everything between positions and tables. Sums of integers below $2^{53}$ are exact
 # in a double, in any order and with any library. Below, 20 random orders of summation give
-# identical sums.
+# identical sums. [Break it yourself](viewer/demo.html#step=8): a file with one weight changed.
 
 # %%
 rng = np.random.default_rng(21)

@@ -273,7 +273,7 @@ ladder.grid(False, axis="x")
 sigmas = np.geomspace(0.03, 3, 60)
 curves = np.array([three(s) for s in sigmas]).T
 phases.plot(sigmas, curves[0], "-", lw=3, label="noise: every grid")
-phases.plot(sigmas, curves[1], "--", lw=3, label="rounding, mean on a multiple of q")
+phases.plot(sigmas, curves[1], "--", lw=3, label="rounding, mean on\na multiple of q")
 phases.plot(sigmas, curves[2], ":", lw=3, label="rounding, mean between two")
 lessons.finish(
     phases,
@@ -281,7 +281,12 @@ lessons.finish(
     xlabel="σ / q (logarithmic)",
     ylabel="bits a number",
     title="Noise pays the average over all grids",
-    legend={},
+)
+lessons.label(
+    phases,
+    (0.035, 0.5),
+    (0.45, 0.05),
+    (0.031, 1.1),
 )
 lessons.show(figure, "22_five_questions_about_bits")
 
@@ -419,7 +424,7 @@ steps.set(
     ylabel="step q of the features\n(logarithmic)",
     title="Anchors that matter more got finer steps, but less so than the law says",
 )
-steps.legend(loc="lower left")
+lessons.label(steps, (1e-7, 0.18), (3e-6, 1.3))
 for (name, curve), marker in zip(curves.items(), "os^"):
     error_of.semilogy(*curve.T, f"-{marker}", label=name)
 lessons.finish(
@@ -428,7 +433,12 @@ lessons.finish(
     xlabel="bits a feature, Eq. (11)",
     ylabel="mean squared error\n(logarithmic)",
     title="Bits that an error costs, for three kinds of steps",
-    legend={},
+)
+lessons.label(
+    error_of,
+    (4, 4.5e-6),
+    (0.7, 4e-5),
+    (2.2, 2e-4),
 )
 lessons.show(figure, "22_adaptive_steps")
 

@@ -125,7 +125,7 @@ assert min(error["trapezoids"]) > 1e-11
 # %%
 figure, axes = plt.subplots(figsize=(9, 5.4), layout="constrained")
 for name, marker in zip(work, "osD"):
-    axes.loglog(work[name], error[name], marker=marker, label=name)
+    axes.loglog(work[name], error[name], marker=marker, label=name.replace(" and ", "\nand "))
 axes.axhspan(1e-17, 2.2e-16, color="0.9")
 axes.text(20, 3e-17, "floor: rounding of float64", fontsize=12)
 arrow = dict(arrowstyle="->")
@@ -137,7 +137,12 @@ lessons.finish(
     ylabel="error of the bin's mass",
     ylim=(1e-17, 0.1),
     title="One integral, three rules: the slope is the order, the floor is the format",
-    legend={},
+)
+lessons.label(
+    axes,
+    (5, 8e-3),
+    (150, 6e-11),
+    (7, 1e-10),
 )
 lessons.show(figure, "23_accuracy_versus_time_order")
 

@@ -313,14 +313,19 @@ for values, name, style, hue in ((T, "float64", "-", "C0"), (T_32, "float32", "-
     positive = np.where(values > 0, values, np.nan)
     light.semilogy(positive, style, lw=3, color=hue, label=name)
     light.axvline(np.flatnonzero(values == 0)[0], ls=style, color=hue, lw=1.2)
-light.axhline(1e-4, color=lessons.COLORS[2], ls=":", label="where published kernels stop")
+light.axhline(1e-4, color=lessons.COLORS[2], ls=":", label="published kernels stop here")
 light.set(
     xlabel="layer",
     ylabel="light that arrives, $T_i$ (of 1)",
     title="The light runs out; vertical lines: it is exactly 0",
 )
 light.set_yticks([1, 1e-100, 1e-200, 1e-300])
-light.legend()
+lessons.label(
+    light,
+    (75, 1e-130),
+    (34, 1e-48),
+    (50, 1e-20),
+)
 size = np.abs(alpha_bar[:8])
 bottom = np.full(8, size.min() / 30)
 pull.semilogy(size, "o-", ms=10, color="C0", label="by the recurrence (true)")
@@ -330,8 +335,8 @@ lessons.finish(
     xlabel="layer",
     ylabel=r"size of the gradient $|\bar\alpha_i|$",
     title="Divided back from 0: no layer learns",
-    legend={},
 )
+lessons.label(pull, (2.2, 1e-5), (0, 3e-17))
 lessons.show(figure, "24_hard_cases_layers")
 
 # %% [markdown]

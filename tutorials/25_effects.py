@@ -304,15 +304,8 @@ for panel, (label, values) in zip(axes, columns.items()):
     panel.tick_params(labelsize=13)
     panel.axvline(0, color="k", lw=0.8)
 axes[0].invert_yaxis()
-listed = plt.Rectangle((0, 0), 1, 1, fc=lessons.COLORS[0], ec="k")
-forced = plt.Rectangle((0, 0), 1, 1, fc=lessons.COLORS[4], ec="k", hatch="//")
-figure.legend(
-    [listed, forced],
-    ["listed by the scene", "forced on"],
-    loc="outside lower center",
-    ncols=2,
-    fontsize=14,
-)
+axes[1].text(150, 5.5, "listed by the scene", color=lessons.COLORS[0], va="center", fontsize=14)
+axes[0].text(50, 1, "forced on", color=lessons.COLORS[4], va="center", fontsize=14)
 lessons.show(
     figure,
     "25_effects",

@@ -236,17 +236,16 @@ figure, (bars, growth) = plt.subplots(
 bottom = np.zeros(5)
 for kind, color, hatch in zip(kinds, lessons.COLORS, ("", "//", "", "..", "")):
     height = np.array([own[kind] for own in files.values()])
-    bars.bar(range(5), height, bottom=bottom, color=color, hatch=hatch, edgecolor="k", label=kind)
+    bars.bar(range(5), height, bottom=bottom, color=color, hatch=hatch, edgecolor="k")
+    bars.text(4.5, bottom[4] + height[4] / 2, kind, color=color, va="center", fontsize=12)
     bottom += height
 names = [f"intra\nframe {i}" for i in range(4)] + ["inter\nall frames"]
 bars.set_xticks(range(5), names, fontsize=13)
 bars.set(
+    xlim=(-0.5, 6),
     ylabel="bytes",
-    ylim=(0, 1.25 * max(bottom)),
     title="Four files with a scene each, or one scene and its motion",
 )
-handles, labels = bars.get_legend_handles_labels()
-bars.legend(handles[::-1], labels[::-1], fontsize=12, loc="upper left")
 needed = {
     "intra": (np.cumsum(intra_bytes), "o-", lessons.COLORS[1]),
     "inter": (np.full(4, inter_bytes), "s--", lessons.COLORS[0]),
@@ -267,8 +266,8 @@ lessons.finish(
     xticks=range(1, 5),
     ylim=(0, 1.1 * sum(intra_bytes)),
     title="Intra grows with each frame, inter is paid once",
-    legend={"fontsize": 13},
 )
+lessons.label(growth, (1.1, 17_000), (2.4, 8300), fontsize=13)
 lessons.show(figure, "26_video_codec_analogy")
 
 # %%

@@ -150,8 +150,11 @@ curve.set(
 )
 curve.margins(0.3, 0.2)
 bottom = np.zeros(len(points))
-for name, sizes in zip((*ATTRIBUTE_SECTIONS, "hash_grid"), column("parts").T):
-    bars.bar(range(len(points)), sizes, bottom=bottom, label=name.replace("_", " "))
+shares = zip((*ATTRIBUTE_SECTIONS, "hash_grid"), column("parts").T, lessons.COLORS)
+for name, sizes, color in shares:
+    bars.bar(range(len(points)), sizes, bottom=bottom, color=color)
+    place = bottom[-1] + sizes[-1] / 2
+    bars.text(3.45, place, name.replace("_", " "), color=color, va="center", fontsize=11)
     bottom += sizes
 lessons.finish(
     bars,
@@ -160,8 +163,7 @@ lessons.finish(
     xlabel=r"$\lambda_{rate}$",
     ylabel="attributes and grid in the file (bytes)",
     title=f"What the price acts on; the other\n{fixed.mean():,.0f} bytes stay as they are",
-    ylim=(0, 1.4 * bottom.max()),
-    legend={"ncols": 2, "loc": "upper right", "fontsize": 11},
+    xlim=(-0.5, 4.9),
 )
 lessons.show(figure, "27_rate_distortion")
 

@@ -308,12 +308,12 @@ figure, rows = plt.subplots(
 truth = bounce(DENSE)[0]
 for (top, below), (name, way) in zip(rows.T, fitted.items()):
     x_t, w, _ = way.forward(DENSE)
-    top.plot(truth[:, 0], truth[:, 2], color="0.6", lw=5, label="the ball")
+    top.plot(truth[:, 0], truth[:, 2], color="0.6", lw=5)
     for path, weight in zip(x_t[0], w[0]):
         seen = weight > gaussian4d.MIN_WEIGHT
         top.scatter(path[seen, 0], path[seen, 2], 14, HUES[name], alpha=weight[seen].clip(0, 1))
         below.plot(DENSE, np.where(seen, weight, np.nan), color=HUES[name], lw=1.5)
-    below.plot(DENSE, w[0].sum(axis=0), color="k", ls="--", lw=1.5, label="together")
+    below.plot(DENSE, w[0].sum(axis=0), color="k", ls="--", lw=1.5)
     top.set(
         title=f"{name}\nerror {errors[name]:.3f}",
         xlabel="x (scene units)",
@@ -322,8 +322,8 @@ for (top, below), (name, way) in zip(rows.T, fitted.items()):
     below.set(xlabel="time t", ylim=(0, 1.35))
 rows[0, 0].set_ylabel("height z (scene units)")
 rows[1, 0].set_ylabel("weight w")
-rows[0, 0].legend(loc="upper right", fontsize=12)
-rows[1, 2].legend(loc="upper right", fontsize=12)
+rows[0, 0].text(0.1, 0.75, "the ball", color="0.4")
+rows[1, 2].text(0.3, 1.17, "together")
 lessons.show(figure, "28_four_ways_to_move")
 
 # %% [markdown]
@@ -508,7 +508,12 @@ lessons.finish(
     xlabel="time t",
     ylabel="move of the height, relative to t = 0.3",
     title="One step for the picture at t = 0.3 moves other times, too",
-    legend={"fontsize": 12},
+)
+lessons.label(
+    axes,
+    (0.7, 0.84),
+    (0.08, 0.46),
+    (0.42, 0.11),
 )
 lessons.show(figure, "28_four_ways_to_move_influence")
 
@@ -608,6 +613,12 @@ for panel, at, table, label, title in panels:
     )
     panel.set_xticks(at, [str(x) for x in at])
     panel.minorticks_off()
+lessons.label(
+    axes[1, 1],
+    (15, 0.04),
+    (16, 0.135),
+    (12, 0.3),
+)
 vanish = axes[0, 1]
 vanish.plot(DENSE, there(DENSE), color="0.6", lw=5, label="the ball")
 for name, w in blink.items():
@@ -617,8 +628,14 @@ lessons.finish(
     xlabel="time t",
     ylabel="weight w",
     title="What appears and vanishes",
-    ylim=(-0.05, 1.5),
-    legend={"fontsize": 12, "ncols": 2, "loc": "upper center"},
+    ylim=(-0.05, 1.2),
+)
+lessons.label(
+    vanish,
+    (0.62, 0.9),
+    (0.02, 0.12),
+    (0.24, 0.75),
+    (0.64, 0.3),
 )
 lessons.show(figure, "28_four_ways_to_move_limits")
 
@@ -800,7 +817,7 @@ curves.set(
     title="1. One quality, two sizes",
 )
 curves.set_xticks([10, 30, 100], ["10", "30", "100"])
-curves.legend(loc="lower right", fontsize=12)
+lessons.label(curves, (9.5, 32.4), (45, 31.7))
 names = list(counted)
 hues = [lessons.COLORS[2] if "4DGS" in name else lessons.COLORS[0] for name in names]
 bars = sizes.barh(names, [counted[name] / 1e6 for name in names], color=hues)

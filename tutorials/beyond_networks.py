@@ -166,8 +166,20 @@ right.set(
     ylabel="gradient of log s, magnitude",
     title="where they cancel",
 )
-for axis in (left, right):
-    axis.legend(fontsize=10)
+lessons.label(
+    left,
+    (0.0011, 4.4),
+    (0.002, 0.4),
+    (0.02, 6),
+    fontsize=10,
+)
+lessons.label(
+    right,
+    (0.02, 2e-2),
+    (0.022, 2.5e-5),
+    (0.0011, 2e-3),
+    fontsize=10,
+)
 lessons.show(figure, "beyond_networks_step")
 
 # %% [markdown]
@@ -281,8 +293,8 @@ lessons.finish(
     ylabel="bytes of psi_d",
     ylim=(300, 30_000),
     title="the same files",
-    legend={"fontsize": 10},
 )
+lessons.label(right, (1e-3, 1e4), (1.7e-3, 1.7e3), fontsize=10)
 lessons.show(figure, "beyond_networks")
 rate, reason = bd_rate(curves[1], curves[0])
 found = reason or f"{rate:+.1f} % of the bytes at equal PSNR"

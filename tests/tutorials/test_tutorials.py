@@ -183,6 +183,12 @@ def test_links_of_the_index_lead_somewhere():
         assert f"\n## {heading.replace('-', ' ').capitalize()}\n" in INDEX, heading
 
 
+def test_links_into_the_viewer_name_a_step_of_its_guided_way():
+    linked = re.findall(r"viewer/demo\.html#([^)]*)", "".join(map(source, TUTORIALS)))
+    assert len(linked) >= 8
+    assert set(linked) <= {f"step={n}" for n in range(1, 9)}
+
+
 @EACH
 def test_first_cell_states_the_measured_minutes(tutorial):
     facts = syllabus.facts(tutorial)

@@ -11,12 +11,28 @@ x_a = np.array([3.0, -1, 7])
 x_c = np.array([1.0, 2, 1])
 
 # %% [markdown]
-# **02.1** The gradient of a length is the direction, here $d_{vc} = (2, -3, 6)/7$. To first order
-# the distance changes by $d_{vc}\cdot(0.7, 0, 0) = 0.2$.
+# **02.1** From $d\ln\delta = d\delta/\delta$, the cotangent $49$ of the logarithm is one of
+# $49/\delta$ of the distance. The gradient still points along the ray, but it now fades with the
+# distance: it is $(2, -3, 6)$ near by and a tenth of that ten times as far away. So both outputs of
+# Eq. (2) would have the factor $1/\delta$, and an anchor close to the camera would get a very large
+# gradient.
 
 # %%
-(_, direction), _ = view.forward(x_a[None], x_c)
-lessons.check_number("02.1", 2 / 7 * 0.7, direction[0] @ [0.7, 0, 0])
+anchors = x_c + np.outer([1, 10], x_a - x_c)
+(delta_vc, _), saved = view.forward(anchors, x_c)
+log_bar = np.full((2, 1), 49.0)
+answer_1 = view.backward(saved, log_bar / delta_vc, np.zeros((2, 3)))["x_a"]
+v = anchors - x_c
+lessons.check_number("02.1", answer_1, 49 * v / (v**2).sum(axis=1, keepdims=True))
+
+
+def log_distance(x_a):
+    (delta_vc, _), _ = view.forward(x_a, x_c)
+    return np.log(delta_vc), None
+
+
+rng = np.random.default_rng(2)
+_ = lessons.adjoint(rng, log_distance, {"x_a": anchors}, log_bar, {"x_a": answer_1})
 
 
 # %% [markdown]

@@ -8,11 +8,23 @@ from p4dgs_ref import lessons
 from p4dgs_ref.equations import positional_encoding
 
 # %% [markdown]
-# **05.1** At zero every cosine is one and every sine is zero, so $\bar p = 1 + 1 + 2 = 4$.
+# **05.1** What is shared receives the sum over its copies. At zero every cosine is one and every
+# sine is zero, so a copy receives $1 + \sum_j 2^j = 2^L$, and $\bar t = 3\cdot 2^L$. Half of it
+# comes from the fastest wave: a clock is corrected with few frequencies first.
 
 # %%
-_, saved = positional_encoding.forward(np.zeros((1, 1)), 2)
-lessons.check_number("05.1", 4, positional_encoding.backward(saved, np.ones((1, 5)))["p"][0, 0])
+rng = np.random.default_rng(5)
+answer_1 = []
+for L in (2, 10):
+
+    def copies(t):
+        return positional_encoding.forward(np.full((3, 1), t), L)
+
+    E, saved = copies(0.0)
+    t_bar = positional_encoding.backward(saved, np.ones_like(E))["p"].sum()
+    _ = lessons.adjoint(rng, copies, {"t": 0.0}, np.ones_like(E), {"t": t_bar})
+    answer_1.append(t_bar)
+lessons.check_number("05.1", answer_1, [3.0 * 2**2, 3.0 * 2**10])
 
 
 # %% [markdown]

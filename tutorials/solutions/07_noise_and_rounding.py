@@ -19,16 +19,32 @@ lessons.check_number("07.1", [2, 2, -4, -2], rounding.forward(four, quarter)[0][
 
 
 # %% [markdown]
-# **07.2** `np.rint` rounds ties to even. Converting to integers also turns a negative zero into 0.
-
+# **07.2** With the slope one of `rint`, $\bar f = 1$ and
+# $\bar q = \sum (\mathrm{rint}(f/q) - f/q) = -0.6$. This is Eq. (7) with the rounding error as its
+# noise $u$. Differences find another gradient: the symbols do not move, so $\bar f$ is 0 and
+# $\bar q$ is the sum of the symbols, $-2$. With these slopes $f$ would never learn.
 
 # %%
-def my_rounding(f, q):
-    symbols = np.rint(f / q).astype(np.int64)
-    return symbols, symbols * q
+f = np.array([[0.6, 0.4, -0.9, -0.45]])
+(symbols, _), _ = rounding.forward(f, quarter)
+u = symbols - f / quarter
+_, saved = noise.forward(f, u, quarter)
+straight_through = noise.backward(saved, np.ones_like(f))
+h = 1e-6
+(_, up), _ = rounding.forward(f, quarter + h)
+(_, down), _ = rounding.forward(f, quarter - h)
+assert np.isclose((up - down).sum() / (2 * h), symbols.sum())
+assert np.array_equal(rounding.forward(f + h, quarter)[0][1], symbols * quarter)
 
 
-lessons.check_forward("07.2", my_rounding, "rounding")
+def with_its_error(f, q):
+    return noise.forward(f, u, q)
+
+
+given = {"f": f, "q": quarter}
+rng = np.random.default_rng(7)
+_ = lessons.adjoint(rng, with_its_error, given, np.ones_like(f), straight_through)
+lessons.check_number("07.2", [-0.6, -2], [straight_through["q"][0, 0], symbols.sum()])
 
 
 # %% [markdown]
@@ -51,7 +67,6 @@ lessons.check_backward("07.3", my_backward, "noise")
 # rounding only where the numbers spread over many steps.
 
 # %%
-rng = np.random.default_rng(7)
 f = 0.25 * rng.integers(-9, 10, (1, 100_000))
 noisy, _ = noise.forward(f, rng.random(f.shape) - 0.5, quarter)
 rounded = rounding.forward(f, quarter)[0][1]

@@ -17,16 +17,27 @@ lessons.check_number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 
 # %% [markdown]
-# **08.2** The floor is a maximum that is taken before multiplying by $Q_0$.
-
+# **08.2** What is shared receives the sum over its uses: $\bar u = 4s(1-s)\sum_g Q_{0,g}\,\bar q_g$
+# with $s = \sigma(2u)$, here $0.75\cdot 0.75 = 0.5625$. Each group votes with the weight of its
+# $Q_0$, and a group alone cannot become finer. On the floor no group moves $u$, so $\bar u = 0$.
 
 # %%
-def my_forward(h, weights, biases, Q_0):
-    u, _ = mlp.forward(h, weights, biases)
-    return Q_0 * np.maximum(2 * sigmoid(2 * u), step.SMALLEST)
+Q_0 = np.array([0.25, 0.01, 0.01, 0.1])
+q_bar = np.array([[1.0, -10, 20, 4]])
 
 
-lessons.check_forward("08.2", my_forward, "step")
+def shared(u):
+    return step.forward(np.full((1, 1), u), [np.ones((1, 4))], [np.zeros(4)], Q_0)
+
+
+rng = np.random.default_rng(8)
+answer_2 = []
+for u in (-0.5 * np.log(3), -5.0):
+    _, saved = shared(u)
+    u_bar = step.backward(saved, q_bar)["h"].sum()
+    _ = lessons.adjoint(rng, shared, {"u": u}, q_bar, {"u": u_bar})
+    answer_2.append(u_bar)
+lessons.check_number("08.2", answer_2, [0.75 * (Q_0 @ q_bar[0]), 0])
 
 
 # %% [markdown]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr
 
 from p4dgs_ref import lessons
-from p4dgs_ref.equations import likelihood, mlp, prior
+from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lessons import close
 
 # %% [markdown]
@@ -36,24 +36,31 @@ assert close(np.log(g) - low**2 / 2, answer_1, 1e-11)
 
 
 # %% [markdown]
-# **10.2** The gradients of the means go back unchanged. Those of the logarithms are multiplied by
-# $\sigma$, and they are zero where the logarithms were clamped.
-
+# **10.2** On the floor $\sigma = q/4$, so $r$ gets no gradient and $\psi_p$ does not learn that it
+# is too sure. The gradient of $\sigma$ goes to $q$ instead, with the factor $\frac14$. The bits now
+# depend only on $(f-\mu)/q$, which gives the same number in another way: $\bar q = -\bar
+# f\,(f-\mu)/q$.
 
 # %%
-def my_prior_backward(inputs, cotangents):
-    psi_p, saved = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
-    mu_columns, raw_columns = prior.layout(inputs["widths"])
-    raw = psi_p[:, raw_columns]
-    free = (raw >= prior.RAW_MIN) & (raw <= prior.RAW_MAX)
-    psi_p_bar = np.zeros_like(psi_p)
-    psi_p_bar[:, mu_columns] = cotangents["mu_bar"]
-    psi_p_bar[:, raw_columns] = cotangents["sigma_bar"] * np.exp(raw) * free
-    gradients = mlp.backward(saved, psi_p_bar)
-    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
+sure = {name: np.array([[value]]) for name, value in (("r", math.log(0.02)), ("q", 0.2))}
+f, mu = np.array([[0.3]]), np.array([[0.1]])
 
 
-lessons.check_backward("10.2", my_prior_backward, "prior")
+def bits_with_floor(r, q):
+    return likelihood.forward(f, mu, np.maximum(np.exp(r), q / 4), q)
+
+
+_, saved = bits_with_floor(**sure)
+bars = likelihood.backward(saved, np.ones((1, 1)))
+on_floor = np.exp(sure["r"]) < sure["q"] / 4
+gradients = {
+    "r": bars["sigma"] * np.exp(sure["r"]) * ~on_floor,
+    "q": bars["q"] + bars["sigma"] / 4 * on_floor,
+}
+_ = lessons.adjoint(np.random.default_rng(10), bits_with_floor, sure, np.ones((1, 1)), gradients)
+by_scale = -bars["f_noisy"] * (f - mu) / sure["q"]
+answer_2 = [gradients["r"][0, 0], gradients["q"][0, 0]]
+lessons.check_number("10.2", answer_2, [0, by_scale[0, 0]])
 
 
 # %% [markdown]

@@ -45,17 +45,30 @@ lessons.check_backward("11.2", my_hash_backward, "hash_rate")
 
 
 # %% [markdown]
-# **11.3** A model without parameters has nothing to code.
-
+# **11.3** Together there are $8$ of $16$ positive signs, so the slope
+# $\frac12\log_2\frac{N_-}{N_+}$ is 0 everywhere. With its own $p_+$, each level is pushed towards
+# the sign that it has more often: $\frac12\log_2\frac62 = 0.79$ in the first, and $-0.79$ in the
+# second. Signs of levels that differ then cost less, and the file holds one more count.
 
 # %%
-def my_rate(R_anchor, R_hash, n_parameters):
-    bits = R_anchor + R_hash
-    L_rate = bits / n_parameters if n_parameters else 0.0
-    return bits, L_rate
+levels = [np.repeat([[0.5], [-0.5]], (n_pos, 8 - n_pos), axis=0) for n_pos in (2, 6)]
 
 
-lessons.check_forward("11.3", my_rate, "rate_loss")
+def slopes_of(grids):
+    _, saved = hash_rate.forward(grids)
+    return [grid[0, 0] for grid in hash_rate.backward(saved, 1.0)["grids"]]
+
+
+def bits(n_pos, n):
+    return -n_pos * np.log2(n_pos / n) - (n - n_pos) * np.log2(1 - n_pos / n)
+
+
+answer_3 = [slopes_of(levels), [*slopes_of(levels[:1]), *slopes_of(levels[1:])]]
+h = 1e-6
+for count, n, slope in ((8, 16, answer_3[0][0]), (2, 8, answer_3[1][0]), (6, 8, answer_3[1][1])):
+    difference = (bits(count + h, n) - bits(count - h, n)) / (2 * h)
+    assert np.isclose(slope, difference / 2, atol=1e-8)  # theta moves half as many signs
+lessons.check_number("11.3", answer_3, [[0, 0], [np.log2(3) / 2, -np.log2(3) / 2]])
 
 # %% [markdown]
 # **Predict, then run.** $N_+$ and $N_-$ change places. The rate is the same, and its gradient has

@@ -5,6 +5,7 @@
 import numpy as np
 
 from p4dgs_ref import lessons
+from p4dgs_ref.equations.numerics import normalise
 from p4dgs_ref.splatting import covariance
 
 # %% [markdown]
@@ -19,9 +20,32 @@ lessons.check_number("13.1", np.diag([9, 1, 4]), by_hand[0])
 
 
 # %% [markdown]
-# **13.2** Multiply the columns of the rotation matrix by the scales, then multiply the result by
-# its transpose.
-#
+# **13.2** What is shared receives a sum, and the logarithm the factor $s$:
+# $\bar l = s\sum_i\bar s_i$. Here $\Sigma = e^{2l} I$ for every rotation, so
+# $\bar l = 2\,e^{2l}\,\mathrm{tr}\,\bar\Sigma = 6$, and no step that keeps $r$ a unit quaternion
+# changes anything: a ball learns no rotation.
+
+# %%
+Sigma_bar = np.arange(9.0).reshape(1, 3, 3)
+r = np.full((1, 4), 0.5)
+
+
+def ball(log_s, r):
+    unit, _ = normalise(r)
+    return covariance.forward(np.full((1, 3), np.exp(log_s)), unit)
+
+
+_, saved = ball(np.log(0.5), r)
+bars = covariance.backward(saved, Sigma_bar)
+l_bar = 0.5 * bars["s"].sum()
+across = bars["r"] - r * (r * bars["r"]).sum()
+given = {"log_s": np.log(0.5), "r": r}
+rng = np.random.default_rng(13)
+_ = lessons.adjoint(rng, ball, given, Sigma_bar, {"log_s": l_bar, "r": across})
+answer_2 = [l_bar, *across[0]]
+lessons.check_number("13.2", answer_2, [2 * 0.25 * np.trace(Sigma_bar[0]), 0, 0, 0, 0])
+
+# %% [markdown]
 # **13.3** The slopes of $R$ are those of the text. Because $R$ is quadratic, a difference over
 # steps of one gives them exactly.
 
@@ -63,7 +87,6 @@ def my_backward(inputs, cotangents):
     return {"s": (M_bar * R).sum(axis=1), "r": r_bar}
 
 
-lessons.check_forward("13.2", my_forward, "covariance")
 lessons.check_backward("13.3", my_backward, "covariance")
 
 # %% [markdown]
@@ -73,7 +96,7 @@ lessons.check_backward("13.3", my_backward, "covariance")
 
 # %%
 r = np.array([[0.1, -0.7, 0.5, 0.5]])
-cotangents = {"Sigma_bar": np.random.default_rng(13).normal(size=(1, 3, 3))}
+cotangents = {"Sigma_bar": rng.normal(size=(1, 3, 3))}
 assert np.array_equal(my_forward(scales, r), my_forward(scales, -r))
 plus = my_backward({"s": scales, "r": r}, cotangents)
 minus = my_backward({"s": scales, "r": -r}, cotangents)

@@ -10,7 +10,10 @@ from p4dgs_ref.splatting import compositing
 # %% [markdown]
 # **15.1** From the back: $B_2 = 1$, $B_1 = 0.8\cdot 0.5 + 0.2\cdot 1 = 0.6$ and
 # $B_0 = 0.5\cdot 1 + 0.5\cdot 0.6 = 0.8$. The pixel is $0.5\cdot 1 + 0.5\cdot 0.8 = 0.9$. The
-# gradients are $1\,(1 - 0.8) = 0.2$, $0.5\,(1 - 0.6) = 0.2$ and $0.25\,(0.5 - 1) = -0.125$.
+# gradients of the opacities are $1\,(1 - 0.8) = 0.2$, $0.5\,(1 - 0.6) = 0.2$ and
+# $0.25\,(0.5 - 1) = -0.125$. A thickness has the slope $d\alpha/d\tau = e^{-\tau} = 1 - \alpha$, so
+# its gradients are $0.1$, $0.1$ and $-0.025$. In place of the light $T_i$ in front of a layer they
+# have the light $T_{i+1}$ behind it: a layer that is opaque learns nothing.
 
 # %%
 layers = dict(
@@ -25,8 +28,19 @@ layers = dict(
     width=1,
 )
 (white, _), saved = compositing.forward(**layers)
-alpha_bar = compositing.backward(saved, np.array([[[1.0, 0, 0]]]))["alpha"]
-lessons.check_number("15.1", [0.9, 0.2, 0.2, -0.125], [white[0, 0, 0], *alpha_bar])
+g = np.array([[[1.0, 0, 0]]])
+alpha_bar = compositing.backward(saved, g)["alpha"]
+tau_bar = alpha_bar * (1 - layers["alpha"])
+
+
+def of_thickness(tau):
+    (image, _), saved = compositing.forward(**{**layers, "alpha": 1 - np.exp(-tau)})
+    return image, saved
+
+
+tau = {"tau": -np.log(1 - layers["alpha"])}
+_ = lessons.adjoint(np.random.default_rng(15), of_thickness, tau, g, {"tau": tau_bar})
+lessons.check_number("15.1", [0.9, 0.1, 0.1, -0.025], [white[0, 0, 0], *tau_bar])
 
 
 # %% [markdown]
