@@ -226,7 +226,7 @@ def draw_arrows(ax, arrows, color, title):
 figure, axes = plt.subplots(
     1,
     2,
-    figsize=(11, 6.4),
+    figsize=(11, 6.2),
     sharey=True,
     layout="constrained",
 )
@@ -236,7 +236,7 @@ draw_arrows(axes[0], of_length, lessons.COLORS[0], radial)
 draw_arrows(axes[1], of_direction, lessons.COLORS[1], sideways)
 axes[0].set_ylabel("y (scene units)")
 axes[0].text(0, -0.65, "camera", ha="center", fontsize=11)
-axes[1].text(2.7, -2.3, "anchor", color="0.4")
+axes[1].text(2.8, -2.6, "anchor", color="0.4")
 size = "gradient $\\bar x_a$,\nlength 1 drawn as 1.25"
 axes[0].text(-5.5, -5.4, size, color=lessons.COLORS[0], fontsize=11)
 lessons.show(

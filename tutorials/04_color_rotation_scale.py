@@ -131,7 +131,7 @@ def outline(ax, place, s, r, **style):
 figure, axes = plt.subplots(
     1,
     3,
-    figsize=(12, 4.8),
+    figsize=(12, 4.6),
     sharey=True,
     layout="constrained",
 )

@@ -73,7 +73,7 @@ assert close(M @ M.T, [[4, 0], [0, 9]])
 figure, panels = plt.subplots(
     1,
     4,
-    figsize=(13, 5),
+    figsize=(13, 4.4),
     sharey=True,
     layout="constrained",
 )
