@@ -4,14 +4,16 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref.report.evaluate import psnr
 from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.files import box_filter
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import read_description
 from tests.budget import ROOT
 from tutorials.tools import animation
 
-SIDE = 64
+SIDE = 256
 
 
 @pytest.fixture(scope="module")
@@ -30,17 +32,29 @@ def committed():
 
 
 def panels(frame):
-    """The three pictures [64, 64, 3] of a frame, in [0, 1] and at their own size."""
-    zoom, gap = animation.ZOOM, animation.GAP
-    rows = slice(animation.HEAD + 1, animation.HEAD + zoom * SIDE, zoom)
-    lefts = [gap + i * (zoom * SIDE + gap) for i in range(3)]
-    return [frame[rows, left + 1 : left + zoom * SIDE : zoom] / 255 for left in lefts]
+    """The three pictures [SIDE, SIDE, 3] of a frame, in [0, 1]."""
+    gap, rows = animation.GAP, slice(animation.HEAD, animation.HEAD + SIDE)
+    lefts = [gap + i * (SIDE + gap) for i in range(3)]
+    return [frame[rows, left : left + SIDE] / 255 for left in lefts]
 
 
 def test_truth_is_that_of_the_scene(scene, description):
     view = scene.test[3]
     drawn = animation.truth(description, view.camera, view.time, scene.background)
     assert np.abs(drawn - view.image).max() <= 1.5 / 255  # another NumPy may round otherwise
+
+
+def test_large_pictures_show_what_those_of_training_show(scene, description):
+    model = p4.decode((ROOT / "tutorials" / "demo.p4dgs").read_bytes())
+    view = scene.test[3]
+    camera = animation.enlarged(view.camera)
+    large = (
+        animation.truth(description, camera, view.time, scene.background),
+        animation.decoded(model, camera, view.time),
+    )
+    small = view.image, model.render(view.camera, view.time)
+    for picture, wanted in zip(large, small):
+        assert psnr(box_filter(picture, animation.ENLARGED), wanted) > 40
 
 
 def test_no_frame_has_the_time_of_a_training_view(scene, description):
@@ -55,8 +69,8 @@ def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, 
         camera, t = posed[i]
         left, middle, _ = panels(committed[i])
         true = animation.truth(description, camera, t, scene.background)
-        assert psnr(left, true) > 38  # the colours of a GIF
-        assert 30 < psnr(middle, true) < 36
+        assert psnr(left, true) > 44  # the colours of a GIF
+        assert 27 < psnr(middle, true) < 30
 
 
 def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
@@ -65,7 +79,7 @@ def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
 
         background = scene.background
 
-        def render(self, camera, t):
+        def render(self, camera, t, settings):
             return np.full((camera.height, camera.width, 3), 0.5)
 
     monkeypatch.setattr(animation, "FRAMES", 2)
@@ -73,5 +87,5 @@ def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
         animation.write_animation(tmp_path / name, Gray())
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "two.gif").read_bytes()
     left, middle, right = panels(iio.imread(tmp_path / "one.gif")[0])
-    assert np.abs(middle - 0.5).max() < 0.03 < np.abs(left - 0.5).max()
+    assert np.abs(middle - 0.5).max() < 0.04 < np.abs(left - 0.5).max()
     assert np.abs(right[0, 0] - animation.error_colors(np.array([[0.5]]))[0, 0]).max() < 0.02
