@@ -5,11 +5,32 @@ with a higher PSNR than all smaller files. Between them, the logarithm of the by
 over PSNR.
 """
 
+import csv
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 MIN_POINTS = 3  # of a curve
 MIN_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
+
+
+def read_csv(path, texts=("sha256",)):
+    """The rows of a CSV without empty fields; what is a number becomes one, except in `texts`."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return [
+            {name: text if name in texts else as_number(text) for name, text in row.items() if text}
+            for row in csv.DictReader(file)
+        ]
+
+
+def as_number(text):
+    """The number that a text stands for, otherwise the text itself."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
 
 
 def grouped(rows, *keys):

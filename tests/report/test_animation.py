@@ -11,7 +11,7 @@ from p4dgs_ref.scenes.files import box_filter
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import read_description
 from tests.budget import ROOT
-from tutorials.tools import animation
+from tutorials.tools import animation, show
 
 SIDE = 256
 
@@ -47,10 +47,10 @@ def test_truth_is_that_of_the_scene(scene, description):
 def test_large_pictures_show_what_those_of_training_show(scene, description):
     model = p4.decode((ROOT / "tutorials" / "demo.p4dgs").read_bytes())
     view = scene.test[3]
-    camera = animation.enlarged(view.camera)
+    camera = show.enlarged(view.camera, animation.ENLARGED)
     large = (
         animation.truth(description, camera, view.time, scene.background),
-        animation.decoded(model, camera, view.time),
+        show.frame(model, view.camera, view.time, animation.ENLARGED),
     )
     small = view.image, model.render(view.camera, view.time)
     for picture, wanted in zip(large, small):
@@ -68,6 +68,7 @@ def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, 
     for i in range(0, len(posed), 6):
         camera, t = posed[i]
         left, middle, _ = panels(committed[i])
+        camera = show.enlarged(camera, animation.ENLARGED)
         true = animation.truth(description, camera, t, scene.background)
         assert psnr(left, true) > 44  # the colours of a GIF
         assert 27 < psnr(middle, true) < 30

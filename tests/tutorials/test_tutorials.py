@@ -228,9 +228,20 @@ def test_exercises_end_with_a_question_that_the_solutions_answer(tutorial):
 def test_gallery_is_complete_small_and_moves():
     files = {file.name: file.stat().st_size for file in (FOLDER / "pictures").iterdir()}
     assert set(files) == {*gallery.PICTURES, gallery.DRAWING}
-    assert sum(files.values()) < 3_000_000
+    assert sum(files.values()) < 2_700_000
     frames = [len(iio.imread(file)) for file in (FOLDER / "pictures").glob("*.gif")]
     assert len(frames) >= 2 and min(frames) > 10
+
+
+def test_pictures_in_few_colours_keep_white_and_what_is_rare(tmp_path):
+    file, pixels = tmp_path / "all.png", np.full((96, 64, 3), 255, np.uint8)
+    colors = np.random.default_rng(0).integers(0, 200, (64, 1, 3))
+    pixels[:64] = np.rint(255 - (255 - colors) * np.linspace(0, 1, 64)[:, None])
+    pixels[0, 0] = 255, 0, 0
+    iio.imwrite(file, pixels)
+    shown = iio.imread(gallery.in_few_bytes(file)).astype(int)
+    assert len(np.unique(shown.reshape(-1, 3), axis=0)) <= 256
+    assert np.abs(shown - pixels).max() < 30 and (shown[64:] == 255).all()
 
 
 def test_pictures_are_those_of_the_tutorials_as_they_are():

@@ -6,17 +6,15 @@ plays forwards and backwards. Truth and decoded picture are drawn ENLARGED times
 training views.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from matplotlib import colormaps
-from scipy.cluster.vq import kmeans2, vq
 
 from p4dgs_ref.report import evaluate, figures
 from p4dgs_ref.scenes import load, scene, simulator
 from p4dgs_ref.scenes.files import write_image
 from p4dgs_ref.scenes.simulator.trace import trace
-from p4dgs_ref.splatting.settings import FAST
+from tutorials.tools import show
+from tutorials.tools.shared import in_colors, palette
 
 FRAMES = 22
 MILLISECONDS = 80  # a frame
@@ -26,9 +24,7 @@ ENLARGED = 4  # times the sides of a training view
 GAP = 12  # pixels between panels and around them
 HEAD = 34  # pixels for the titles
 FOOT = 46  # pixels for the scale of the error
-# A GIF has 256 colours in a frame. The error and the letters need theirs exactly.
-PICTURE_COLORS, ERROR_COLORS = 192, 32
-SAMPLED = 23  # one in so many pixels of the pictures chooses these colours
+SAMPLED = 23  # one in so many pixels chooses the colours of the GIF
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -36,25 +32,9 @@ def views(description):
     """The (camera, time) of every frame."""
     path = np.radians(np.linspace(*AZIMUTHS, FRAMES))
     return [
-        (
-            enlarged(simulator.camera_at(description, azimuth, np.radians(ELEVATION))),
-            (i + 0.5) / FRAMES,
-        )
+        (simulator.camera_at(description, azimuth, np.radians(ELEVATION)), (i + 0.5) / FRAMES)
         for i, azimuth in enumerate(path)
     ]
-
-
-def enlarged(camera):
-    """The camera with ENLARGED times as many pixels along each side, which see the same."""
-    return replace(
-        camera,
-        f_x=ENLARGED * camera.f_x,
-        f_y=ENLARGED * camera.f_y,
-        c_x=ENLARGED * (camera.c_x + 0.5) - 0.5,
-        c_y=ENLARGED * (camera.c_y + 0.5) - 0.5,
-        width=ENLARGED * camera.width,
-        height=ENLARGED * camera.height,
-    )
 
 
 def truth(description, camera, t, background):
@@ -63,37 +43,14 @@ def truth(description, camera, t, background):
     return scene.over_background(pixels / 255, background)[0]
 
 
-def decoded(model, camera, t):
-    """The picture [H, W, 3] of a model, whose splats are blurred as much as in training.
-
-    The renderer's blur is one in pixels, so that without this the splats would be drawn thinner.
-    """
-    settings = FAST._replace(blur=FAST.blur * ENLARGED**2)
-    return np.clip(model.render(camera, t, settings), 0, 1)
-
-
-def palette(pictures, background):
-    """The background and PICTURE_COLORS colours [M, 3] that stand for those of all pictures."""
-    sampled = np.concatenate(pictures).reshape(-1, 3)[::SAMPLED]
-    colors = np.unique(np.rint(sampled * 255), axis=0)
-    centres = kmeans2(colors, PICTURE_COLORS, minit="++", seed=0)[0]
-    return np.concatenate([[background], np.rint(centres) / 255])
-
-
-def with_palette(picture, colors):
-    """The picture with the nearest colour of the palette in each pixel."""
-    return colors[vq(picture.reshape(-1, 3), colors)[0]].reshape(picture.shape)
-
-
 # --- frames ---------------------------------------------------------------------------------------
 @figures.styled()
-def frame(true, picture, t, colors):
+def frame(true, picture, t):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(picture - true).mean(axis=2)
-    quality = evaluate.psnr(picture, true)
     panels = (
-        (f"truth, t = {t:.2f}", with_palette(true, colors)),
-        (f"decoded, PSNR {quality:.1f} dB", with_palette(picture, colors)),
+        (f"truth, t = {t:.2f}", true),
+        (f"decoded, PSNR {evaluate.psnr(picture, true):.1f} dB", picture),
         (f"error from 0 to {figures.ERROR_RANGE}, mean {error.mean():.3f}", error_colors(error)),
     )
     side = true.shape[1]
@@ -112,25 +69,26 @@ def frame(true, picture, t, colors):
     write("0 ", left + side // 4, FOOT / 2, "right")
     write(f" ≥ {figures.ERROR_RANGE}", left + 3 * side // 4, FOOT / 2, "left")
     figure.canvas.draw()
-    pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()
-    grey = (pixels == pixels[..., :1]).all(axis=2)  # letters: 16 greys leave colours for the rest
-    pixels[grey] = np.rint(pixels[grey] / 17) * 17
-    return pixels
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3]
 
 
 def error_colors(error):
-    """The colours of errors [H, W] from 0 to figures.ERROR_RANGE, in ERROR_COLORS steps."""
-    return colormaps["magma"].resampled(ERROR_COLORS)(error / figures.ERROR_RANGE)[..., :3]
+    """The colours [H, W, 3] of errors [H, W] from 0 to figures.ERROR_RANGE."""
+    return colormaps["magma"](error / figures.ERROR_RANGE)[..., :3]
 
 
 def write_animation(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
     description = simulator.read_description(load.find_scene(name) / load.DESCRIPTION)
     shown = [
-        (truth(description, camera, t, model.background), decoded(model, camera, t), t)
+        (
+            truth(description, show.enlarged(camera, ENLARGED), t, model.background),
+            show.frame(model, camera, t, ENLARGED),
+            t,
+        )
         for camera, t in views(description)
     ]
-    pictures = [picture for *pair, _ in shown for picture in pair]
-    colors = palette(pictures, model.background)
-    frames = [frame(*one, colors) for one in shown]
-    write_image(path, frames + frames[-2:0:-1], duration=MILLISECONDS, loop=0)
+    frames = np.array([frame(*one) for one in shown])
+    frames = in_colors(frames, palette(frames.reshape(-1, 3)[::SAMPLED]))
+    frames = np.concatenate([frames, frames[-2:0:-1]])
+    write_image(path, frames, duration=MILLISECONDS, loop=0)

@@ -10,6 +10,8 @@ import json
 from collections import namedtuple
 from pathlib import Path
 
+import imageio.v3 as iio
+
 from p4dgs_ref import output
 from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import stability
@@ -18,8 +20,9 @@ from p4dgs_ref.lab.accuracy.knobs import KNOBS
 from p4dgs_ref.lab.tables import curve, hundredfold
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.scenes.files import image_bytes
 from tutorials.tools import animation, architecture, handout, records, show, tour
-from tutorials.tools.shared import FOLDER, write_text
+from tutorials.tools.shared import FOLDER, in_colors, palette, write_text
 
 DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code that drew it}
 
@@ -142,16 +145,25 @@ def gallery():
     )
 
 
+def in_few_bytes(figure):
+    """The bytes of a picture's file; a PNG gets 256 colours, with which it is a third as large."""
+    if figure.suffix != ".png":
+        return figure.read_bytes()
+    image = iio.imread(figure)[..., :3]
+    return image_bytes(in_colors(image, palette(image)), ".png", bits=8, optimize=True)
+
+
 def take(out, pictures):
     """Renew those pictures of the gallery whose figures are in the folder `out`; keep the others.
 
     Returns the names of those that were renewed.
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
+    figures[DRAWING] = Path(out) / DRAWING
     renewed = [name for name, figure in figures.items() if figure.is_file()]
     with output.filled(pictures) as staging:
         for name in renewed:
-            (staging / name).write_bytes(figures[name].read_bytes())
+            (staging / name).write_bytes(in_few_bytes(figures[name]))
     return renewed
 
 

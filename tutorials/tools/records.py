@@ -10,11 +10,11 @@ the curve together: each runs a part of `p4dgs-ref compare --curve --point I/N -
 """
 
 import argparse
-import csv
 import sys
 
 from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.tables.methods import CODED, OUR_PRESETS, OURS
+from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.output import filled
 from p4dgs_ref.report.figures import write_csv
 from p4dgs_ref.scenes import load_scene
@@ -52,26 +52,8 @@ def tasks(name, folder="report/records"):
 
 
 def rows(name):
-    """The rows of a record without their empty fields; texts of numbers become numbers."""
-    with open(FOLDER / "records" / f"{name}.csv", newline="", encoding="utf-8") as file:
-        return [
-            {
-                column: text if column == "sha256" else as_number(text)
-                for column, text in row.items()
-                if text
-            }
-            for row in csv.DictReader(file)
-        ]
-
-
-def as_number(text):
-    """The number that a text stands for, otherwise the text itself."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text
+    """The rows of a record."""
+    return read_csv(FOLDER / "records" / f"{name}.csv")
 
 
 def name_of(row):

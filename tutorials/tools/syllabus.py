@@ -242,10 +242,10 @@ def main(words):
             print(f"{names[number]}: {seconds[number]:.1f} s", flush=True)
         for make in [make for word, make in MADE.items() if not words or word in words]:
             make(out)
+        architecture.save(Path(out) / gallery.DRAWING)
         gallery.record(gallery.take(out, FOLDER / "pictures"))
-    architecture.save(FOLDER / "pictures" / gallery.DRAWING)
     handout.save(FOLDER / gallery.HANDOUT)
-    gallery.record([gallery.DRAWING, gallery.HANDOUT])
+    gallery.record([gallery.HANDOUT])
     write_text(FOLDER / "glossary.md", glossary.glossary())
     write_text(FOLDER / "README.md", index(seconds))
 

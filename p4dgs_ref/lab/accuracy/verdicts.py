@@ -5,12 +5,10 @@ in pairs: a difference counts as known within twice its standard error. The time
 be told apart or not (`clock.can_tell`). Both are looked at before a verdict is given.
 """
 
-import csv
-
 import numpy as np
 
 from ..clock import can_tell, stretch_of
-from ..writer import grouped, means, twice_standard_error
+from ..writer import grouped, means, read_csv, twice_standard_error
 from .knobs import PSNR
 
 TEXTS = ("knob", "line", "value", "sha256", "arithmetic", "command")  # the columns without numbers
@@ -23,12 +21,8 @@ ORDER = ("always", *USES.values(), "cannot tell", "saves nothing", "no")
 
 
 def read(path):
-    """The rows of a record without their empty fields."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return [
-            {name: text if name in TEXTS else float(text) for name, text in row.items() if text}
-            for row in csv.DictReader(file)
-        ]
+    """The rows of the record of accuracy."""
+    return read_csv(path, TEXTS)
 
 
 def by_knob(rows):
