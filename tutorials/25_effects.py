@@ -99,7 +99,7 @@ assert [2 * parameters_of_psi_d(effects) for effects in lists] == [107540, 10483
 
 # %%
 import p4dgs_ref as p4
-from p4dgs_ref.lab.effect_ledger import counted, ledger, to_text
+from p4dgs_ref.lab.effect_ledger import counted
 from p4dgs_ref.training.trainer import Trainer
 
 scenes = {name: p4.load_scene(name) for name in ("static", "bouncing")}
@@ -264,8 +264,18 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 # for each effect, a second one with only this effect switched.
 
 # %%
-rows = ledger(scenes["static"], "smoke", seed=0, share=1, stage_ends=(15, 25, 100, 150))
-print(to_text(rows))
+import tempfile
+from pathlib import Path
+
+from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.lab.tables.methods import make_missing
+
+short = {"preset": "smoke", "stage_ends": (15, 25, 100, 150)}
+with tempfile.TemporaryDirectory() as folder:
+    trainings = effect_ledger.plan(scenes["static"], folder, seeds=1, **short)
+    make_missing(trainings)
+    rows = effect_ledger.collect(trainings, Path(folder))
+print(effect_ledger.to_text(rows))
 ledger_of = {row["effect"]: row for row in rows}
 for row in rows:
     assert row["work_off"] == row["bytes_off"] == 0 < row["work_on"]

@@ -50,7 +50,7 @@ def read_file(path):
 
 
 def estimate(arguments, trainers, jobs=1):
-    """Time the first steps of long trainings; more than an hour needs --yes.
+    """Time the first steps of long trainings; more than an hour needs --yes, if there is one.
 
     `trainers` holds pairs of a Trainer and the number of trainings like it, of which `jobs` run at
     once.
@@ -64,7 +64,7 @@ def estimate(arguments, trainers, jobs=1):
         "every training (later stages cost more)"
     )
     require(
-        minutes <= 60 or arguments.yes,
+        minutes <= 60 or getattr(arguments, "yes", True),
         "--yes",
         "this would take more than an hour; expected --yes to start it all the same",
     )

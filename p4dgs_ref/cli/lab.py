@@ -51,10 +51,11 @@ def effects(arguments):
     )
     if arguments.suggest:
         return suggest_effects(arguments)
-    with filled(arguments.output or "report/effects") as staging:
-        scene = load_scene(arguments.scene)
-        rows = effect_ledger.ledger(scene, progress=progress, jobs=arguments.jobs)
-        effect_ledger.draw_ledger(staging / "effects.png", rows)
+    folder = arguments.output or "report/effects"
+    with filled(folder) as staging:
+        tasks = effect_ledger.plan(load_scene(arguments.scene), folder)
+        make_rows(arguments, tasks)
+        rows = effect_ledger.collect(tasks, staging)
     show(arguments, {"effects": rows}, effect_ledger.to_text(rows))
 
 

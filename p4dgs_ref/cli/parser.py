@@ -354,7 +354,7 @@ GROUPS = {
                 switch("--suggest", "only say which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 JOBS,
-                output("folder for the picture and the table (report/effects)"),
+                output("folder to write to; its trainings are kept (report/effects)"),
             ),
         ),
         "compare": (
@@ -479,7 +479,7 @@ def parser():
 STOPPED = {
     "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
-        ("accuracy", "compare", "ablate"),
+        ("accuracy", "effects", "compare", "ablate"),
         "; the trainings that are done are kept, the same command makes the others",
     ),
     "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "

@@ -1,9 +1,9 @@
 """The ledger of effects: what each effect of the closed list costs a scene, and what it is worth.
 
-One build has the scene's own list. For every effect there is another build in which that effect
-alone is switched. Their steps are timed in turn, so that whatever disturbs the machine disturbs all
-of them. Work and bytes are those that go where this effect alone is switched off: hidden layers
-that it shares with another one stay.
+Trainings with the scene's own list are compared with others in which one effect alone is switched,
+at the same seeds. A gain counts as one where it is larger than twice its standard error. Work and
+bytes are those that go where this effect alone is switched off: hidden layers that it shares with
+another one stay. Steps are timed in turn, so that whatever disturbs the machine disturbs all.
 """
 
 from collections import Counter
@@ -14,16 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import effects as fx
-from ..designs import choose, decode, encode, trainer_of
+from ..designs import decode
 from ..model import declared_numbers
-from ..report.evaluate import evaluate
-from ..report.figures import BLUE, ORANGE, save_figure, styled, subplots, write_csv
-from ..report.jobs import in_processes
+from ..report.figures import BLUE, save_figure, styled, subplots, write_csv
 from ..scenes.scene import MODEL_EFFECTS
+from ..splatting import render
+from ..splatting.settings import FAST
 from ..training.watch import equation_codes, watching
-from .accuracy.harness import shortened, step_at
+from .accuracy.harness import step_at
 from .clock import alternate
-from .writer import text_table
+from .tables import methods
+from .tables.methods import OURS
+from .writer import text_table, twice_standard_error
 
 TURNS = 15  # of the steps that are timed
 AS_LISTED = "as listed"
@@ -33,16 +35,19 @@ VIEW_EFFECTS = {  # the effect for which an equation of the anchor networks read
 }
 COLUMNS = {
     "effect": "{effect}",
-    "listed": "{called_for}",
+    "listed": "{listed}",
     "ms on": "{ms_on:.2f}",
     "ms off": "{ms_off:.2f}",
-    "bytes on": "{bytes_on:,}",
-    "bytes off": "{bytes_off:,}",
-    "work on": "{work_on:,}",
-    "work off": "{work_off:,}",
-    "worth dB": "{worth_db:+.2f}",
+    "bytes on": "{bytes_on:,.0f}",
+    "bytes off": "{bytes_off:,.0f}",
+    "work on": "{work_on:,.0f}",
+    "work off": "{work_off:,.0f}",
+    "worth dB": "{worth}",
 }
-UNITS = "ms per step, multiply-adds of its forward; PSNR with it minus without it, test views"
+UNITS = (
+    "ms per training step; bytes of weights; multiply-adds of a frame; PSNR with it minus without "
+    "it, test views, ± twice the standard error, and none if it is smaller"
+)
 
 
 # --- work and bytes -------------------------------------------------------------------------------
@@ -97,101 +102,172 @@ def effect_bytes(data):
     return {effect: size(design.effects) - size(others) for effect, others in without.items()}
 
 
+def costs(data, views):
+    """Columns of each effect that is on in a file: bytes, and multiply-adds of the mean frame."""
+    model, sizes = decode(data), effect_bytes(data)
+    occlusion = "occlusion" in model.design.effects
+    with counted() as work:
+        for view in views:
+            *looks, _ = model.gaussians(view.time, view.camera)
+            render.forward(*looks, view.camera, model.background, FAST, occlusion)
+    return {
+        f"{kind}_{effect}": amount
+        for effect in model.design.effects
+        for kind, amount in (
+            ("bytes", sizes[effect]),
+            ("work", round(work.multiply_adds[effect] / len(views))),
+        )
+    }
+
+
 # --- the ledger -----------------------------------------------------------------------------------
 def switched(scene, effect):
     """The scene with one effect more, or less, on its list."""
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
-def train_alone(task):
-    """Train one build: its file, PSNR, and of each effect the bytes and the work of a last step."""
-    scene, preset, seed = task
-    trainer = trainer_of(scene, preset, seed)
-    with np.errstate(all="ignore"):  # an overflow stops training with its own message
-        while trainer.iteration < preset.iterations - 1:
-            trainer.step()
-        with counted() as work:
-            model = trainer.run()
-    data = encode(model)
-    return {
-        "data": data,
-        "psnr_db": evaluate(decode(data), scene)[0]["psnr_db"],
-        "bytes": effect_bytes(data),
-        "work": {effect: int(work.multiply_adds[effect]) for effect in MODEL_EFFECTS},
-    }
+def plan(scene, folder, seeds=3, **changes):
+    """The Tasks of the scene as it is listed and with each effect alone switched, for each seed.
 
-
-def train_all(scenes, preset, seed, progress=lambda line: None, jobs=1):
-    """Train builds of one scene in `jobs` processes, from {name: Scene} to {name: build}.
-
-    A build has data, psnr_db, bytes and work as above, and ms, the time of a step of stage 4, when
-    every effect takes part. Steps of all builds are timed in turn, in this process.
+    `changes` are those of the preset.
     """
-    built, tasks = {}, [(scene, preset, seed) for scene in scenes.values()]
-    for name, build in zip(scenes, in_processes(train_alone, tasks, jobs)):
-        built[name] = build
-        progress(f"{len(built)} of {len(scenes)} builds trained")
-    with np.errstate(all="ignore"):
-        steps = {name: step_at(scene, preset, 4) for name, scene in scenes.items()}
-        times = alternate(steps, TURNS)
-    return {name: {**build, "ms": times[name].median} for name, build in built.items()}
+    builds = {None: scene}
+    for effect in MODEL_EFFECTS:
+        name = f"without {effect}" if effect in scene.effects else f"with {effect}"
+        builds[name] = switched(scene, effect)
+    whole = methods.plan({OURS: [changes]}, [OURS], [scene], folder, seeds, study="effects")
+    return [
+        task._replace(step=name, scene=build) for task in whole for name, build in builds.items()
+    ]
 
 
-def ledger(scene, preset="tiny", seed=0, share=0.5, progress=lambda line: None, jobs=1, **changes):
+def made(tasks):
+    """The rows of Tasks that are there, with the `costs` of their files."""
+    return [
+        {**row, **costs(task.path.read_bytes(), task.scene.test)}
+        for task in tasks
+        for row in methods.made([task])
+    ]
+
+
+def summaries(rows):
     """What every effect costs and is worth, one row per effect in the order of the closed list.
 
-    `changes` are fields of the preset; `share` is that of its iterations, 1 for all. A row has the
-    fields effect, called_for, ms_on, ms_off, bytes_on, bytes_off, work_on, work_off and worth_db:
-    ms of a whole step in the two builds that differ in this effect, bytes of its weights in the
-    file, multiply-adds of its equations in the forward of a step, and the PSNR of the test views
-    with it minus without it. Raises ValueError for an unknown preset or field.
+    `rows` are those that `made` returns. A row has the fields effect, called_for, bytes_on,
+    bytes_off, work_on and work_off, which are means over seeds, worth_db, and its
+    twice_standard_error, which is None for one seed.
     """
-    preset = shortened(choose(preset, changes), share)
-    builds = {AS_LISTED: scene, **{effect: switched(scene, effect) for effect in MODEL_EFFECTS}}
-    built = train_all(builds, preset, seed, progress, jobs)
-    listed = built[AS_LISTED]
-    return [
-        {
-            "effect": effect,
-            "called_for": effect in scene.effects,
-            "ms_on": on["ms"],
-            "ms_off": off["ms"],
-            "bytes_on": on["bytes"][effect],
-            "bytes_off": off["bytes"][effect],
-            "work_on": on["work"][effect],
-            "work_off": off["work"][effect],
-            "worth_db": on["psnr_db"] - off["psnr_db"],
-        }
-        for effect in MODEL_EFFECTS
-        for on, off in [
-            (listed, built[effect]) if effect in scene.effects else (built[effect], listed)
-        ]
-    ]
+    builds = {AS_LISTED: {}}  # {build: {seed: row}}
+    for row in rows:
+        build = row["label"] if row["label"].startswith("with") else AS_LISTED
+        builds.setdefault(build, {})[row["seed"]] = row
+    found = []
+    for effect in MODEL_EFFECTS:
+        called_for = f"without {effect}" in builds
+        on, off = (builds[name] for name in build_names(effect, called_for))
+        gains = [one["psnr_db"] - off[seed]["psnr_db"] for seed, one in on.items()]
+        found.append(
+            {
+                "effect": effect,
+                "called_for": called_for,
+                **{
+                    f"{kind}_{name}": float(np.mean([one.get(f"{kind}_{effect}", 0) for one in of]))
+                    for kind in ("bytes", "work")
+                    for name, of in (("on", on.values()), ("off", off.values()))
+                },
+                "worth_db": float(np.mean(gains)),
+                "twice_standard_error": twice_standard_error(gains) if len(gains) > 1 else None,
+            }
+        )
+    return found
+
+
+def build_names(effect, called_for):
+    """The names of the two builds that differ in an effect: the one with it, then without it."""
+    return (AS_LISTED, f"without {effect}") if called_for else (f"with {effect}", AS_LISTED)
+
+
+def collect(tasks, folder):
+    """Write effects.csv, the rows that are made, and effects.png; returns the ledger.
+
+    That are the `summaries` with ms_on and ms_off, the times of a step of stage 4, when every
+    effect takes part, in the two builds that differ in an effect.
+    """
+    trained = made(tasks)
+    write_csv(folder / "effects.csv", trained)
+    rows = summaries(trained)
+    draw_ledger(folder / "effects.png", rows)
+    builds = {task.step or AS_LISTED: task for task in tasks}
+    steps = {name: step_at(task.scene, methods.preset_of(task), 4) for name, task in builds.items()}
+    with np.errstate(all="ignore"):
+        times = alternate(steps, TURNS)
+    for row in rows:
+        on, off = build_names(row["effect"], row["called_for"])
+        row |= {"ms_on": times[on].median, "ms_off": times[off].median}
+    return rows
+
+
+def is_none(row):
+    """Whether a gain cannot be told from none: it is within twice its standard error."""
+    error = row["twice_standard_error"]
+    return error is not None and abs(row["worth_db"]) <= error
+
+
+def said(row):
+    """The gain of a row with twice its standard error, as text."""
+    gain, error = f"{row['worth_db']:+.2f}", row["twice_standard_error"]
+    if error is not None:
+        gain += f" ±{error:.2f}"
+    return f"none ({gain})" if is_none(row) else gain
 
 
 def to_text(rows):
     """The ledger as text, a line per effect."""
-    cells = [{**row, "called_for": "yes" if row["called_for"] else "no"} for row in rows]
+    cells = [
+        {**row, "listed": "yes" if row["called_for"] else "no", "worth": said(row)} for row in rows
+    ]
     return "\n".join([*text_table(COLUMNS, cells), "", UNITS])
 
 
-@styled()
+@styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_ledger(path, rows):
-    """Three bar charts, blue for listed effects and orange for the others; a CSV beside."""
+    """Work, bytes and gain of every effect; those that the scene does not list are at zero.
+
+    A gain that is smaller than twice its standard error is drawn as none. In brackets is what an
+    effect that is not listed would cost and gain.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    form = EngFormatter(places=1, sep=" ")
     panels = {
-        "work_on": ("multiply-adds in the forward of a step", "{:,.0f}"),
-        "bytes_on": ("bytes in the file", "{:,.0f}"),
-        "worth_db": ("PSNR with it minus without it (dB)", "{:+.2f}"),
+        "Work: multiplications of a frame": [
+            (row["work_on"], form(row["work_on"])) for row in rows
+        ],
+        "Bytes of its weights in the file": [
+            (row["bytes_on"], f"{row['bytes_on']:,.0f}") for row in rows
+        ],
+        "Gain: dB with it, minus without": [
+            (0 if is_none(row) else row["worth_db"], said(row)) for row in rows
+        ],
     }
-    figure, axes = subplots(1, 3, figsize=(13, 4.6), sharey=True)
-    colors = [BLUE if row["called_for"] else ORANGE for row in rows]
-    for ax, (name, (label, form)) in zip(axes, panels.items()):
-        bars = ax.barh([row["effect"] for row in rows], [row[name] for row in rows], color=colors)
-        ax.bar_label(bars, [form.format(row[name]) for row in rows], padding=3)
-        ax.margins(x=0.3)  # room for the numbers
-        ax.set(xlabel=label)
-        ax.locator_params(axis="x", nbins=4)
-    axes[0].invert_yaxis()
-    figure.suptitle("blue: listed by the scene; orange: forced on")
+    figure, axes = subplots(3, figsize=(4.2, 6.6))
+    for ax, (title, bars) in zip(axes, panels.items()):
+        for row, (value, text) in zip(rows, bars):
+            if not row["called_for"]:
+                value, text = 0, f"0 (if on: {text.partition(' (')[0]})"
+            ax.barh(row["effect"], value, color=BLUE)
+            ax.annotate(
+                text,
+                (max(value, 0), row["effect"]),
+                (3, 0),
+                textcoords="offset points",
+                va="center",
+                color="black" if row["called_for"] else "#606060",
+            )
+        ax.set_title(title, loc="left", fontweight="bold")
+        ax.set(xticks=[], xmargin=0.8)
+        ax.invert_yaxis()
+        ax.spines[["top", "right", "bottom"]].set_visible(False)
+    note = "An effect that the scene does not list is at 0.\n± is twice the standard error."
+    figure.suptitle(note, fontsize=10.5)
     save_figure(figure, path)
-    write_csv(path.with_suffix(".csv"), rows)

@@ -62,7 +62,7 @@ SAID = {  # of a command that was stopped
     "train": KEPT,
     "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
     **dict.fromkeys(
-        ("accuracy", "compare"),
+        ("accuracy", "effects", "compare"),
         "; the trainings that are done are kept, the same command makes the others",
     ),
 }

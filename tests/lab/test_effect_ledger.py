@@ -1,6 +1,5 @@
 """The ledger of effects, hidden units that are always zero, and a scene with all effects on."""
 
-import csv
 import json
 from dataclasses import replace
 
@@ -12,8 +11,10 @@ from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
-from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.lab import effect_ledger, writer
 from p4dgs_ref.lab.accuracy.harness import shortened
+from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.lab.tables.methods import OURS
 from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
@@ -38,9 +39,12 @@ def trained(name, *forced):
 @pytest.mark.slow
 def test_ledger(tmp_path):
     scene, told = load_scene("bouncing"), []
-    rows = effect_ledger.ledger(scene, "smoke", share=1, progress=told.append, jobs=2)
+    tasks = effect_ledger.plan(scene, tmp_path / "files", seeds=2, preset="smoke")
+    assert len(tasks) == 2 * (1 + len(MODEL_EFFECTS))
+    methods.make_missing(tasks, told.append, jobs=2)
+    assert len(told) == len(tasks)
+    rows = effect_ledger.collect(tasks, tmp_path)
     assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
-    assert len(told) == 1 + len(MODEL_EFFECTS)
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
         listed = row["effect"] in scene.effects
@@ -50,11 +54,41 @@ def test_ledger(tmp_path):
         assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
     background = rows[MODEL_EFFECTS.index("background")]
     assert background["worth_db"] > 0.5
-    assert f"{background['worth_db']:+.2f}\n" in effect_ledger.to_text(rows)
-    effect_ledger.draw_ledger(tmp_path / "ledger.png", rows)
-    with open(tmp_path / "ledger.csv", newline="", encoding="utf-8") as file:
-        assert [row["effect"] for row in csv.DictReader(file)] == list(MODEL_EFFECTS)
-    assert (tmp_path / "ledger.png").stat().st_size > 10_000
+    assert f"{background['worth_db']:+.2f} ±" in effect_ledger.to_text(rows)
+    again = effect_ledger.summaries(writer.read_csv(tmp_path / "effects.csv"))
+    assert again == [
+        {name: value for name, value in row.items() if not name.startswith("ms")} for row in rows
+    ]
+    assert (tmp_path / "effects.png").stat().st_size > 10_000
+
+
+def test_a_gain_within_twice_its_standard_error_is_drawn_as_none(monkeypatch):
+    """Effects that are not listed are at zero, whatever they would gain."""
+
+    def row(label, seed, psnr_db, **columns):
+        return {"label": label, "seed": seed, "psnr_db": psnr_db, **columns}
+
+    rows = []
+    for seed, noise in enumerate((-0.2, 0.1, 0.1)):
+        rows.append(row("p4dgs", seed, 30, work_occlusion=4.0, bytes_view_color=256))
+        for effect in MODEL_EFFECTS:
+            label = f"{'with' if effect == 'rotation' else 'without'} {effect}"
+            gain = {"rotation": -5, "occlusion": 4 - noise}.get(effect, noise)
+            rows.append(row(label, seed, 30 - gain))
+    found = {one["effect"]: one for one in effect_ledger.summaries(rows)}
+    said = {effect: effect_ledger.said(one) for effect, one in found.items()}
+    assert said == {
+        **dict.fromkeys(MODEL_EFFECTS, "none (+0.00 ±0.20)"),
+        "rotation": "+5.00 ±0.00",
+        "occlusion": "+4.00 ±0.20",
+    }
+    assert [found["occlusion"][name] for name in ("work_on", "work_off")] == [4, 0]
+    assert not found["rotation"]["called_for"] and found["view_color"]["bytes_on"] == 256
+    figures = []
+    monkeypatch.setattr(effect_ledger, "save_figure", lambda figure, path: figures.append(figure))
+    effect_ledger.draw_ledger(None, found.values())
+    widths = dict(zip(MODEL_EFFECTS, [bar.get_width() for bar in figures[0].axes[2].patches]))
+    assert widths == {**dict.fromkeys(MODEL_EFFECTS, 0), "occlusion": pytest.approx(4)}
 
 
 def test_work_that_effects_share_belongs_to_none_of_them():
@@ -107,15 +141,18 @@ def test_silent_units_change_no_picture(name, monkeypatch):
 
 
 @pytest.mark.slow
-def test_static_needs_less_than_with_everything_on():
+def test_static_needs_less_than_with_everything_on(tmp_path):
     """Bytes, counted work and quality of `static`, a tenth of a training, over two seeds."""
-    scene, preset = load_scene("static"), shortened(TINY, 0.1)
-    psnr = []
-    for seed in (0, 1):
-        builds = {"listed": scene, "all": replace(scene, effects=MODEL_EFFECTS)}
-        few, full = effect_ledger.train_all(builds, preset, seed).values()
-        assert {effect for effect, work in few["work"].items() if work} == set(scene.effects)
-        assert all(full["work"].values()) and len(few["data"]) <= 0.6 * len(full["data"])
-        psnr.append([build["psnr_db"] for build in (few, full)])
+    scene, psnr = load_scene("static"), []
+    everything = replace(scene, effects=MODEL_EFFECTS)
+    listed = methods.plan({OURS: [{}]}, [OURS], [scene], tmp_path, 2, TINY.iterations // 10)
+    for task in listed:
+        pair = [task, task._replace(scene=everything, step="all")]
+        methods.make_missing(pair)
+        few, full = effect_ledger.made(pair)
+        on = [{e for e in MODEL_EFFECTS if row.get(f"work_{e}")} for row in (few, full)]
+        assert on == [set(scene.effects), set(MODEL_EFFECTS)]
+        assert few["bytes"] <= 0.6 * full["bytes"]
+        psnr.append([row["psnr_db"] for row in (few, full)])
     few, full = np.array(psnr).T
     assert np.mean(full - few) <= max(np.ptp(few), np.ptp(full), 1.0)

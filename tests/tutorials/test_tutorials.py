@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from p4dgs_ref import lessons
+from p4dgs_ref.lab import effect_ledger, stability
+from p4dgs_ref.lab.accuracy import answers, verdicts
 from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
 from p4dgs_ref.table import EQUATIONS
-from tests.golden import answers
+from tests.golden import answers as solved
+from tests.tutorials import drawn
 from tests.tutorials import tutorial_form as form
-from tutorials.tools import gallery, notebooks, shared, syllabus
+from tutorials.tools import gallery, notebooks, records, shared, syllabus
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
@@ -70,7 +73,7 @@ def test_solution_passes(tutorial, tmp_path):
 @pytest.mark.slow
 def test_stored_answers_are_those_of_the_solutions():
     """Where it fails, `python -m tests.golden.answers` makes them anew."""
-    made, stored = answers.answers(), lessons.stored("answers")
+    made, stored = solved.answers(), lessons.stored("answers")
     assert set(made) == set(stored)
     for exercise, answer in made.items():
         assert np.allclose(answer, stored[exercise], rtol=1e-9, atol=0), exercise
@@ -119,8 +122,8 @@ def test_exercises_are_two_or_three_and_have_solutions(tutorial):
 def test_answers_do_not_stand_below_their_blanks(tutorial):
     asked = source(tutorial).split("# ## Exercises\n", 1)[1].split("# ## Check your port", 1)[0]
     for exercise, right in re.findall(r'lessons\.check_number\(\s*"([^"]+)", \w+(.*)\)', asked):
-        assert exercise in lessons.stored("answers") or exercise in answers.FROM_DATA
-        assert not right.removeprefix(", digits=15") or exercise in answers.FROM_DATA
+        assert exercise in lessons.stored("answers") or exercise in solved.FROM_DATA
+        assert not right.removeprefix(", digits=15") or exercise in solved.FROM_DATA
 
 
 def test_every_exercise_has_two_hints():
@@ -231,6 +234,25 @@ def test_gallery_is_complete_small_and_moves():
     assert sum(files.values()) < 2_700_000
     frames = [len(iio.imread(file)) for file in (FOLDER / "pictures").glob("*.gif")]
     assert len(frames) >= 2 and min(frames) > 10
+
+
+FRONT = {
+    answers: lambda path: answers.draw_front(path, verdicts.read(gallery.ACCURACY)),
+    stability: stability.draw_front,
+    effect_ledger: lambda path: effect_ledger.draw_ledger(
+        path, effect_ledger.summaries(records.rows("effects"))
+    ),
+}
+
+
+@pytest.mark.parametrize("drawing", FRONT)
+def test_pictures_beside_each_other_can_be_read_at_a_third_of_their_width(drawing, monkeypatch):
+    figures = []
+    monkeypatch.setattr(drawing, "save_figure", lambda figure, path: figures.append(figure))
+    FRONT[drawing](None)
+    (figure,) = figures
+    assert drawn.overlaps(figure) == []
+    assert figure.get_size_inches()[0] * figure.dpi == 3 * 280 and drawn.smallest(figure) > 3 * 8
 
 
 def test_pictures_in_few_colours_keep_white_and_what_is_rare(tmp_path):

@@ -7,7 +7,6 @@ training views.
 """
 
 import numpy as np
-from matplotlib import colormaps
 
 from p4dgs_ref.report import evaluate, figures
 from p4dgs_ref.scenes import load, scene, simulator
@@ -24,6 +23,7 @@ ENLARGED = 4  # times the sides of a training view
 GAP = 12  # pixels between panels and around them
 HEAD = 34  # pixels for the titles
 FOOT = 46  # pixels for the scale of the error
+ERROR = {"cmap": "magma", "vmin": 0, "vmax": figures.ERROR_RANGE}  # its colours
 SAMPLED = 23  # one in so many pixels chooses the colours of the GIF
 
 
@@ -51,7 +51,7 @@ def frame(true, picture, t):
     panels = (
         (f"truth, t = {t:.2f}", true),
         (f"decoded, PSNR {evaluate.psnr(picture, true):.1f} dB", picture),
-        (f"error from 0 to {figures.ERROR_RANGE}, mean {error.mean():.3f}", error_colors(error)),
+        (f"error from 0 to {figures.ERROR_RANGE}, mean {error.mean():.3f}", error),
     )
     side = true.shape[1]
     width, height = 3 * side + 4 * GAP, HEAD + true.shape[0] + FOOT
@@ -62,19 +62,18 @@ def frame(true, picture, t):
 
     for i, (title, pixels) in enumerate(panels):
         left = GAP + i * (side + GAP)
-        figure.figimage(pixels, left, FOOT, origin="upper")
+        figure.figimage(pixels, left, FOOT, **ERROR, origin="upper")
         write(title, left + side / 2, height - HEAD / 2, "center")
-    ramp = error_colors(np.tile(np.linspace(0, figures.ERROR_RANGE, side // 2), (12, 1)))
-    figure.figimage(ramp, left + side // 4, FOOT // 2 - 6, origin="upper")
+    figure.figimage(
+        np.tile(np.linspace(0, figures.ERROR_RANGE, side // 2), (12, 1)),
+        left + side // 4,
+        FOOT // 2 - 6,
+        **ERROR,
+    )
     write("0 ", left + side // 4, FOOT / 2, "right")
     write(f" ≥ {figures.ERROR_RANGE}", left + 3 * side // 4, FOOT / 2, "left")
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba())[..., :3]
-
-
-def error_colors(error):
-    """The colours [H, W, 3] of errors [H, W] from 0 to figures.ERROR_RANGE."""
-    return colormaps["magma"](error / figures.ERROR_RANGE)[..., :3]
 
 
 def write_animation(path, model, name="bouncing"):
@@ -90,5 +89,4 @@ def write_animation(path, model, name="bouncing"):
     ]
     frames = np.array([frame(*one) for one in shown])
     frames = in_colors(frames, palette(frames.reshape(-1, 3)[::SAMPLED]))
-    frames = np.concatenate([frames, frames[-2:0:-1]])
-    write_image(path, frames, duration=MILLISECONDS, loop=0)
+    write_image(path, [*frames, *frames[-2:0:-1]], duration=MILLISECONDS, loop=0)

@@ -14,7 +14,7 @@ import imageio.v3 as iio
 
 from p4dgs_ref import output
 from p4dgs_ref.designs import decode
-from p4dgs_ref.lab import stability
+from p4dgs_ref.lab import effect_ledger, stability
 from p4dgs_ref.lab.accuracy import answers, diagram, report, verdicts
 from p4dgs_ref.lab.accuracy.knobs import KNOBS
 from p4dgs_ref.lab.tables import curve, hundredfold
@@ -31,9 +31,10 @@ DRAWN = Path(__file__).with_name("gallery.json")  # {picture: hash of the code t
 ACCURACY = FOLDER / "records" / "accuracy.csv"
 
 # One picture of the gallery: what draws it ("demo" and "accuracy" are commands of p4dgs-ref), the
-# file that this command or tutorial writes, and the caption.
+# file that this command or tutorial writes, and the caption; without one it is on other pages.
 Picture = namedtuple("Picture", "drawn_by figure caption")
 
+DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 PICTURES = {
     "curve.png": Picture(
         "record",
@@ -110,6 +111,11 @@ PICTURES = {
         "stability.png",
         "Three ways to compute Eq. (11), over distance and bin width; failures are red",
     ),
+    "effects.png": Picture(
+        "record",
+        "effects.png",
+        "What each effect of the scene `bouncing` costs and gains; those not listed are at zero",
+    ),
     "rate_distortion.png": Picture(
         "tutorial",
         "27_rate_distortion.png",
@@ -120,9 +126,11 @@ PICTURES = {
         "beyond_networks.png",
         "Beyond the paper: networks that pay for their bits, against the paper's design",
     ),
+    "front_accuracy.png": Picture("record", "front_accuracy.png", None),
+    "front_stability.png": Picture("accuracy", "front_stability.png", None),
+    DRAWING: Picture("drawing", DRAWING, None),
 }
 
-DRAWING, HANDOUT, TOUR = "architecture.png", "handout.pdf", "tour.pdf"
 DRAW = {  # what draws the pictures that come from no tutorial
     "curve.png": (curve.draw_curves, curve.draw_curve),
     "hundredfold.png": (hundredfold.draw_steps,),
@@ -130,7 +138,10 @@ DRAW = {  # what draws the pictures that come from no tutorial
     "demo_size.png": (figures.write_size,),
     "demo.gif": (animation,),
     "accuracy.png": (answers, diagram.lines, diagram.place_labels),
+    "front_accuracy.png": (answers, diagram.lines, diagram.place_labels),
     "accuracy_likelihood.png": (stability.maps, stability.draw_maps, stability.draw_map),
+    "front_stability.png": (stability.maps, stability.draw_maps, stability.draw_front),
+    "effects.png": (effect_ledger.summaries, effect_ledger.said, effect_ledger.draw_ledger),
     DRAWING: (architecture,),
     HANDOUT: (architecture, handout),
     TOUR: (show, tour),
@@ -142,6 +153,7 @@ def gallery():
     return "\n\n".join(
         f"![{picture.caption}](pictures/{name})\n{picture.caption}."
         for name, picture in PICTURES.items()
+        if picture.caption
     )
 
 
@@ -159,7 +171,6 @@ def take(out, pictures):
     Returns the names of those that were renewed.
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
-    figures[DRAWING] = Path(out) / DRAWING
     renewed = [name for name, figure in figures.items() if figure.is_file()]
     with output.filled(pictures) as staging:
         for name in renewed:
@@ -213,6 +224,13 @@ def draw_curve(out):
     hundredfold.draw_steps(Path(out) / PICTURES["hundredfold.png"].figure, hundredfold.steps(rows))
 
 
+def draw_effects(out):
+    """Draw the record of effects into the folder `out`."""
+    effect_ledger.draw_ledger(
+        Path(out) / PICTURES["effects.png"].figure, effect_ledger.summaries(records.rows("effects"))
+    )
+
+
 def draw_tour(_):
     """Draw the paper in ten pictures, which have a folder of their own."""
     tour.draw_pictures()
@@ -228,8 +246,11 @@ def with_table(text):
 
 
 def draw_accuracy(out):
-    """Draw the record of accuracy and the stability map; renew the reference's table."""
-    answers.draw_answers(Path(out) / PICTURES["accuracy.png"].figure, verdicts.read(ACCURACY))
+    """Draw the record of accuracy and the stability map, also small; renew the table."""
+    rows = verdicts.read(ACCURACY)
+    answers.draw_answers(Path(out) / PICTURES["accuracy.png"].figure, rows)
+    answers.draw_front(Path(out) / PICTURES["front_accuracy.png"].figure, rows)
     stability.draw_map(Path(out) / PICTURES["accuracy_likelihood.png"].figure)
+    stability.draw_front(Path(out) / PICTURES["front_stability.png"].figure)
     reference = FOLDER / "reference.md"
     write_text(reference, with_table(reference.read_text(encoding="utf-8")))

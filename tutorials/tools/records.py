@@ -12,6 +12,7 @@ the curve together: each runs a part of `p4dgs-ref compare --curve --point I/N -
 import argparse
 import sys
 
+from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.tables.methods import CODED, OUR_PRESETS, OURS
 from p4dgs_ref.lab.writer import read_csv
@@ -43,7 +44,9 @@ PLANS = {  # {record: the Tasks of its rows, in their order, for scenes and a fo
         + methods.plan(SWEEP, OUR_PRESETS, scenes[:1], folder, seeds=1),
         key=lambda task: (task.method, task.scene.name, task.seed),
     ),
+    "effects": lambda scenes, folder: effect_ledger.plan(scenes[0], folder),
 }
+MADE = {"effects": effect_ledger.made}  # what reads their rows, if not `methods.made`
 
 
 def tasks(name, folder="report/records"):
@@ -73,10 +76,12 @@ def main(name, jobs, is_made=False):
     missing = [task for task in every if name_of_task(task) not in kept]
     if not is_made:
         methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
-    kept |= {name_of(row): row for row in methods.made(missing)}
+    kept |= {name_of(row): row for row in MADE.get(name, methods.made)(missing)}
     with filled(FOLDER / "records") as staging:
-        there = [kept[key] for key in map(name_of_task, every) if key in kept]
-        write_csv(staging / f"{name}.csv", there)
+        write_csv(
+            staging / f"{name}.csv",
+            [kept[key] for key in map(name_of_task, every) if key in kept],
+        )
 
 
 if __name__ == "__main__":

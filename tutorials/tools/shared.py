@@ -55,8 +55,11 @@ def palette(pixels):
 
 def in_colors(pixels, colors):
     """The pixels [..., 3] in 8 bits, each in the nearest of some colours [M, 3]."""
-    nearest = vq(pixels.reshape(-1, 3).astype(float), colors)[0]
-    return colors[nearest].reshape(pixels.shape).astype(np.uint8)
+    return (
+        colors[vq(pixels.reshape(-1, 3).astype(float), colors)[0]]
+        .astype(np.uint8)
+        .reshape(pixels.shape)
+    )
 
 
 def markdown_table(heads, rows):

@@ -5,6 +5,7 @@ python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pi
 python -m tutorials.tools.syllabus accuracy      the pictures of accuracy and the reference's table
 python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
 python -m tutorials.tools.syllabus curve         only the picture of the curve, from its record
+python -m tutorials.tools.syllabus effects       only the picture of effects, from its record
 python -m tutorials.tools.syllabus index         only the index, with the times it already holds
 
 Each of these also draws the architecture anew and writes the glossary and the handout.
@@ -226,6 +227,7 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
     "accuracy": gallery.draw_accuracy,
     "tour": gallery.draw_tour,
     "curve": gallery.draw_curve,
+    "effects": gallery.draw_effects,
 }
 
 

@@ -166,6 +166,36 @@ PANELS = {  # what draws each panel, and the knobs that it needs
 }
 
 
+def draw_panel(ax, title, shown, settings):
+    """Draw the points of a panel with its answer as title."""
+    joined = settings.pop("joined", True)
+    ax.set(**{"xscale": "log", "yscale": "log", "xlabel": "processor time (ms)", **settings})
+    ax.set_title(fill(title, WIDTH), loc="left")
+    ax.margins(0.5, 0.15)
+    lines(ax, shown, "x", "y", joined)
+    for axis in (ax.xaxis, ax.yaxis):
+        if axis.get_scale() == "log":
+            readable_ticks(axis)
+
+
+@styled({**STYLE, "font.size": 10.5, "figure.dpi": 200})
+def draw_front(path, rows):
+    """Draw the first lines of four panels below each other, for a picture that is shown small."""
+    of = by_knob(rows)
+    figure, axes = subplots(4, figsize=(4.2, 6.6), layout=None)
+    figure.subplots_adjust(0.125, 0.035, 0.98, 0.91, hspace=1.12)
+    for ax, panel in zip(axes, (frame, symbol, noise, training)):
+        title, shown, settings = panel(of)
+        draw_panel(ax, "", [row for row in shown if row["line"] == shown[0]["line"]], settings)
+        words = f"↑ {ax.get_ylabel()}  → {ax.get_xlabel()}"
+        ax.set(xlabel="", ylabel="", xmargin=0.4, ymargin=0.35)
+        ax.text(-0.13, 1.36, fill(title, WIDTH), fontweight="bold", transform=ax.transAxes)
+        ax.text(-0.13, 1.13, words, color="#505050", fontsize=9.1, transform=ax.transAxes)
+        ax.locator_params(axis="y", **{"numticks" if ax.get_yscale() == "log" else "nbins": 3})
+    place_labels(figure)
+    save_figure(figure, path)
+
+
 @styled(STYLE)
 def draw_answers(path, rows):
     """Draw the picture from the rows of a record; a panel without its knobs says so.
@@ -181,15 +211,7 @@ def draw_answers(path, rows):
             words = f"not measured in this run:\n{', '.join(PANELS[panel])}"
             ax.text(0.5, 0.5, words, ha="center")
             continue
-        title, shown, settings = panel(of)
-        joined = settings.pop("joined", True)
-        ax.set(**{"xscale": "log", "yscale": "log", "xlabel": "processor time (ms)", **settings})
-        ax.set_title(fill(title, WIDTH), loc="left")
-        ax.margins(0.5, 0.15)
-        lines(ax, shown, "x", "y", joined)
-        for axis in (ax.xaxis, ax.yaxis):
-            if axis.get_scale() == "log":
-                readable_ticks(axis)
+        draw_panel(ax, *panel(of))
     notes = (
         "A star is what this project uses. Bars go from quartile to quartile.",
         disturbance(stretch(rows)),

@@ -24,6 +24,8 @@ PLACES = (
     (-12, -20, "right"),
     (14, -3, "left"),
     (-14, -3, "right"),
+    (9, 6, "left"),
+    (-9, 6, "right"),
 )
 SMALLEST_ERROR = 1e-17  # a logarithmic axis cannot show zero
 
@@ -99,8 +101,9 @@ def place_labels(fig):
         labels = [text for text in ax.texts if hasattr(text, "xyann")]
         labels.sort(key=lambda text: text.get_fontweight() != "bold")  # ours first
         drawn = [line for line in ax.lines if labels]
-        taken = [box for line in drawn for box in boxes(points_of(line))]
-        crossed = [box for line in drawn for box in boxes(between(points_of(line)))]
+        half = 0.04 * fig.dpi
+        taken = [box for line in drawn for box in boxes(points_of(line), half)]
+        crossed = [box for line in drawn for box in boxes(between(points_of(line)), half)]
         for text in labels:
             for avoided, (x, y, side) in product((taken + crossed, taken), PLACES):
                 text.set(horizontalalignment=side)
@@ -126,7 +129,7 @@ def between(points, steps=20):
     return [p for a, b in zip(points, points[1:]) for p in a + shares * (b - a)]
 
 
-def boxes(points, half=4):
+def boxes(points, half):
     """A box of `half` pixels to each side around every point."""
     from matplotlib.transforms import Bbox
 

@@ -210,7 +210,7 @@ def maps():
     return errors
 
 
-def draw_maps(figure, axes, errors, titles, **text):
+def draw_maps(figure, axes, errors, titles, location="right", **text):
     """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
     from matplotlib import colormaps
 
@@ -229,7 +229,19 @@ def draw_maps(figure, axes, errors, titles, **text):
     figure.supxlabel("bin width q/σ")
     figure.supylabel("distance |x − μ|/σ")
     label = "log10 of the error of the bits"
-    figure.colorbar(mesh, ax=axes, location="right", shrink=0.8, extend="both", label=label)
+    figure.colorbar(mesh, ax=axes, location=location, shrink=0.8, extend="both", label=label)
+
+
+@styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
+def draw_front(path):
+    """Draw the maps of the printed formula and of ours, for a picture that is shown small."""
+    called = {"literal": "as printed", "stable": "ours"}
+    errors = {key: log for key, log in maps().items() if key[0] in called}
+    figure, axes = subplots(2, 2, figsize=(4.2, 6.6), sharex=True, sharey=True)
+    titles = [f"{called[name]}, {dtype}" for name, dtype in errors]
+    draw_maps(figure, axes, errors, titles, "top")
+    figure.suptitle("Bits of Eq. (11): red is infinite or NaN", fontweight="bold", fontsize=10.5)
+    save_figure(figure, path)
 
 
 @styled()

@@ -132,6 +132,8 @@ class Task(NamedTuple):
                 f"p4dgs-ref train {scene} --preset {preset.name} --seed {seed}{changes} -o run && "
                 f"p4dgs-ref encode run -o '{self.path.name}'"
             )
+        if self.study == "effects":
+            return f"p4dgs-ref effects {scene}"
         method = f" --method {self.method}" * (not self.step)
         length = f" --iterations {self.iterations}" * bool(self.iterations)
         return f"p4dgs-ref {self.study} {scene}{method} --seeds {seed + 1}{length} --yes"

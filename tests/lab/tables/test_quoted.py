@@ -14,7 +14,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from p4dgs_ref.lab import writer
+from p4dgs_ref.lab import effect_ledger, writer
 from p4dgs_ref.lab.tables import ablate, curve, hundredfold
 from p4dgs_ref.lab.tables.methods import CODED
 from p4dgs_ref.lab.writer import bd_rate, means
@@ -128,6 +128,9 @@ def numbers(name, terms, rows, labels):
             found = {value for row in of_steps for value in row.values()}
             found |= {1 / row["factor"] for row in of_steps if "factor" in row}  # what grows
             return {value for value in found if isinstance(value, float)}
+    if name == "effects":
+        found = [row.values() for row in effect_ledger.summaries(own)]
+        return entries(own) | {value for row in found for value in row if isinstance(value, float)}
     if name == "ablate":
         return entries(own) | steps(records.rows(name), labels)
     return entries(own) | (pairs(own) if "label " in " ".join(terms) else set())
