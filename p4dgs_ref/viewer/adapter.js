@@ -51,6 +51,13 @@ function anchorInputs({ f_a, delta_vc, d_vc }) {
   return [p4dgs.beside(f_a.shape[0], ...parts), f_a.shape[0]];
 }
 
+/** What an anchor network predicts of every child, [A, k] or [A, k, width]. */
+function predicted(compute, tensors, ...width) {
+  const [layers, [inputs, A]] = [network(tensors), anchorInputs(tensors)];
+  const k = layers.at(-1).J / (width[0] ?? 1);
+  return real([A, k, ...width], compute(layers, inputs, A));
+}
+
 function cameraOf({ W, T, focal, center, size }) {
   const camera = { W, T, focal, center, size };
   return Object.fromEntries(Object.entries(camera).map(([name, { data }]) => [name, data]));
@@ -138,22 +145,12 @@ const PORT = {
   offsets: ({ x_a, O_a, l_a }) => ({
     x: real(O_a.shape, p4dgs.offsets(x_a.data, O_a.data, l_a.data)),
   }),
-  opacity(tensors) {
-    const [layers, [inputs, A]] = [network(tensors), anchorInputs(tensors)];
-    return { alpha: real([A, layers.at(-1).J], p4dgs.opacity(layers, inputs, A)) };
-  },
-  color(tensors) {
-    const [layers, [inputs, A]] = [network(tensors), anchorInputs(tensors)];
-    return { color: real([A, layers.at(-1).J / 3, 3], p4dgs.color(layers, inputs, A)) };
-  },
-  rotation(tensors) {
-    const [layers, [inputs, A]] = [network(tensors), anchorInputs(tensors)];
-    return { r: real([A, layers.at(-1).J / 4, 4], p4dgs.rotation(layers, inputs, A)) };
-  },
+  opacity: (tensors) => ({ alpha: predicted(p4dgs.opacity, tensors) }),
+  color: (tensors) => ({ color: predicted(p4dgs.color, tensors, 3) }),
+  rotation: (tensors) => ({ r: predicted(p4dgs.rotation, tensors, 4) }),
   scale(tensors) {
-    const [layers, [inputs, A]] = [network(tensors), anchorInputs(tensors)];
-    const s = p4dgs.scale(layers, tensors.s_a.data, inputs, A);
-    return { s: real([A, layers.at(-1).J / 3, 3], s) };
+    const scale = (layers, ...inputs) => p4dgs.scale(layers, tensors.s_a.data, ...inputs);
+    return { s: predicted(scale, tensors, 3) };
   },
   masking(tensors, { tau_alpha }) {
     const index = p4dgs.masking(tensors.alpha.data, tensors.mask.data, tau_alpha);
@@ -185,9 +182,8 @@ const PORT = {
     ),
   pixel(tensors) {
     const N = tensors.x.shape[0];
-    const flat = { Sigma: new Float64Array(9 * N) };
-    const found = p4dgs.projection(tensors.x.data, flat, cameraOf(tensors));
-    const { mean2d, depth, visible } = projected(found, N);
+    const Sigma = { data: new Float64Array(9 * N) };
+    const { mean2d, depth, visible } = PORT.projection({ ...tensors, Sigma });
     return { mean2d, depth, visible };
   },
   compositing(tensors, { height, width, occlusion = true, alpha_max = 0.99 }) {
@@ -263,12 +259,7 @@ function arraysOf(model) {
     symbols: packed("I64", [A, columns], model.symbols),
     attributes: packed("F64", [A, columns], attributes),
   };
-  const sections = {
-    anchor_mlps: ["psi_alpha", "psi_c", "psi_r", "psi_s"],
-    context_mlps: ["psi_p", "psi_q"],
-    deformation_mlp: ["psi_d"],
-  };
-  for (const [section, names] of Object.entries(sections)) {
+  for (const [section, names] of Object.entries(p4dgs.NETWORKS)) {
     if (!(section in model.bytes)) continue;
     const layers = names.flatMap((name) => model.networks[name]);
     const numbers = layers.flatMap(({ W, b }) => [...W, ...b]);

@@ -51,18 +51,23 @@
     return all;
   }
 
-  let last = {};
+  const seen = new WeakMap(); // of each model what was computed last
 
   /** What a camera sees at time t: Gaussians (Eqs. 1 to 4), moved (5 and 6), and their splats.
    *  `canonical` leaves out the motion. */
   function see(model, camera, t, { canonical = false } = {}) {
-    if (last.model !== model || last.camera !== camera) {
-      const gaussians = p4dgs.spatialPrediction(model, p4dgs.centreOf(camera));
-      last = { model, camera, gaussians };
+    const last = seen.get(model) ?? {};
+    const x_c = p4dgs.centreOf(camera);
+    if (last.centre !== String(x_c)) {
+      // Without view_geometry another camera sees other colours, and the same motion.
+      if (model.header.effects.includes("view_geometry")) last.t = null;
+      const gaussians = p4dgs.spatialPrediction(model, x_c);
+      seen.set(model, Object.assign(last, { centre: String(x_c), gaussians }));
     }
     const { gaussians } = last;
     const { x, s, r } = gaussians;
-    const moved = canonical ? { x_t: x, s_t: s, r_t: r } : deform(model, gaussians, t);
+    if (!canonical && last.t !== t) Object.assign(last, { t, moved: deform(model, gaussians, t) });
+    const moved = canonical ? { x_t: x, s_t: s, r_t: r } : last.moved;
     return { gaussians, moved, splats: p4dgs.splatting(gaussians, moved, camera) };
   }
 
@@ -196,21 +201,6 @@
       const all = [0, 0, width, height];
       gl.blitFramebuffer(...all, ...all, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     }
-
-    /** The bytes of the picture that was drawn last, [height, width, 4]; the upper row first. */
-    pixels() {
-      const { gl, canvas } = this;
-      const { width, height } = canvas;
-      const read = new Uint8Array(4 * width * height);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-      gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, read);
-      const pixels = new Uint8ClampedArray(read.length);
-      for (let row = 0; row < height; row++) {
-        const from = 4 * width * (height - 1 - row);
-        pixels.set(read.subarray(from, from + 4 * width), 4 * width * row);
-      }
-      return pixels;
-    }
   }
 
   /** A row of FLOATS for each Gaussian that can be seen, the farthest first, and their count. */
@@ -240,15 +230,9 @@
   // --- colours ----------------------------------------------------------------------------------
   // From dark blue to yellow: lightness rises all the way, so it is read without colour vision.
   const VIRIDIS = [
-    [68, 1, 84],
-    [71, 44, 122],
-    [59, 81, 139],
-    [44, 113, 142],
-    [33, 144, 141],
-    [39, 173, 129],
-    [92, 200, 99],
-    [170, 220, 50],
-    [253, 231, 37],
+    [68, 1, 84], [71, 44, 122], [59, 81, 139],
+    [44, 113, 142], [33, 144, 141], [39, 173, 129],
+    [92, 200, 99], [170, 220, 50], [253, 231, 37],
   ];
 
   /** The colour at 0 ... 1 of viridis, three numbers from 0 to 1. */
@@ -258,9 +242,10 @@
     return VIRIDIS[i].map((v, c) => (v + (VIRIDIS[i + 1][c] - v) * (at - i)) / 255);
   }
 
-  /** The same as text for a canvas or a style. */
-  const css = (share) => `rgb(${viridis(share).map((v) => Math.round(255 * v)).join(" ")})`;
+  /** A colour as text for a canvas or a style. */
+  const rgb = (color) => `rgb(${Array.from(color, (v) => Math.round(255 * v)).join(" ")})`;
+  const css = (share) => rgb(viridis(share));
 
   Object.assign(exported, { tooLarge, see, deform, settings, onProcessor, WebGL, viridis, css });
-  Object.assign(exported, { products });
+  Object.assign(exported, { products, rgb });
 })(typeof module === "object" ? module.exports : (globalThis.draw = {}));

@@ -2,10 +2,14 @@
 "use strict";
 
 (function (exported) {
-  const { p4dgs, requantise } = globalThis;
+  const { p4dgs, draw, layers, requantise } = globalThis;
 
   const NAMES = { f_a: "feature f", s_a: "scale s", l_a: "offset scale l", O_a: "offset O" };
   const AXES = "xyz";
+  const MOST_BARS = 64; // of a feature
+  const MOST_INTEGERS = 30; // on each side of a mean
+  const MOST_ROWS = 200;
+  const MOST_CHILDREN = 32;
 
   // --- elements of the page ---------------------------------------------------------------------
   /** A new element with attributes and children, which are elements or texts. */
@@ -18,8 +22,9 @@
 
   /** A table within a frame that scrolls where the window is narrow. */
   function table(caption, head, rows) {
-    const row = (kind) => (cells) =>
-      element("tr", {}, ...cells.map((text, i) => cellOf(kind, text, i)));
+    const cell = (scope) => (text, i) =>
+      scope || i === 0 ? element("th", { scope: scope ?? "row" }, text) : element("td", {}, text);
+    const row = (scope) => (cells) => element("tr", {}, ...cells.map(cell(scope)));
     return element(
       "div",
       { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
@@ -27,16 +32,10 @@
         "table",
         {},
         element("caption", {}, caption),
-        element("thead", {}, row("th")(head)),
-        element("tbody", {}, ...rows.map(row("td"))),
+        element("thead", {}, row("col")(head)),
+        element("tbody", {}, ...rows.map(row())),
       ),
     );
-  }
-
-  /** The first cell of a row is its head. */
-  function cellOf(kind, text, i) {
-    if (kind === "th") return element("th", { scope: "col" }, text);
-    return i === 0 ? element("th", { scope: "row" }, text) : element("td", {}, text);
   }
 
   // --- numbers ----------------------------------------------------------------------------------
@@ -45,6 +44,72 @@
     if (Number.isInteger(v) && Math.abs(v) < 1e6) return String(v);
     const size = Math.abs(v);
     return size >= 1e5 || size < 1e-4 ? v.toExponential(2) : String(Number(v.toPrecision(4)));
+  }
+
+  // --- pictures of an anchor --------------------------------------------------------------------
+  /** Bars for numbers, up and down where some are negative; `marked` is the number of one of them.
+   *  `ends` stand below the first and the last one. */
+  function bars(values, said, ends, marked = -1) {
+    const [high, low] = [Math.max(...values, 0), Math.max(...values.map((v) => -v), 0)];
+    const columns = values.map((v, i) => {
+      const bar = element("b", i === marked ? { class: "marked" } : {});
+      const part = 100 / (high + low || 1);
+      bar.style.height = `${part * Math.abs(v)}%`;
+      bar.style.bottom = `${part * Math.min(low, low + v)}%`;
+      return element("i", {}, bar);
+    });
+    const below = element("div", { class: "ends" }, ...ends.map((end) => element("span", {}, end)));
+    const picture = element("div", { class: "bars", role: "img", "aria-label": said }, ...columns);
+    return element("figure", {}, picture, below, element("small", {}, said));
+  }
+
+  /** The feature of anchor `a` as bars, and the colours of its children seen by `cameras`. */
+  function look(model, a, cameras) {
+    const { header, columns, symbols, q } = model;
+    const { d, k } = header;
+    const feature = Array.from(symbols.slice(a * columns, a * columns + Math.min(d, MOST_BARS)));
+    const step = digits(q[4 * a]);
+    const said = `The feature: the integers ${feature.join(" ")}, times the step ${step}`;
+    const rows = (array, width) => array.slice(a * width, (a + 1) * width);
+    const widths = { f_a: d, masks: k, O_a: 3 * k, x_a: 3, s_a: 3, l_a: 3 };
+    const parts = Object.entries(widths).map(([name, width]) => [name, rows(model[name], width)]);
+    const one = { header, networks: model.networks, ...Object.fromEntries(parts) };
+    const seen = cameras.map((camera) => layers.kept(one, camera));
+    const children = Array.from(seen[0].index.slice(0, MOST_CHILDREN), (_, n) => {
+      const row = element("i");
+      const colors = seen.map(({ color }) => draw.rgb(color.slice(3 * n, 3 * n + 3)));
+      row.style.background = `linear-gradient(to right, ${colors.join(", ")})`;
+      return row;
+    });
+    const walk = element("div", { class: "walk" }, ...children, element("div", { id: "walker" }));
+    const told = `Colours of its ${children.length} children from all sides: 0° to 360°`;
+    const figure = element("figure", {}, walk, element("small", {}, told));
+    return [bars(feature, said, ["number 0", `number ${feature.length - 1}`]), figure];
+  }
+
+  /** The sharpest and the vaguest prediction of a number of anchor `a`, of those that fit in. */
+  function guesses(model, a) {
+    const { mu_units, sigma_units, symbols } = model;
+    const all = columnsOf(model).filter(({ column }) => requantise.isCoded(model, a, column));
+    const own = all.map(({ label, column }) => {
+      const at = a * model.columns + column;
+      const [mu, units, symbol] = [mu_units[at], sigma_units[at], symbols[at]];
+      const [mean, sigma] = [mu / requantise.UNITS.mu, 2 ** (units / requantise.UNITS.sigma)];
+      const reach = Math.ceil(Math.max(3 * sigma + 2, Math.abs(symbol - mean) + 1));
+      const bits = (n) => requantise.symbolBits(n, mu, units);
+      return { label, mean, sigma, reach, symbol, bits };
+    });
+    const fit = own.filter(({ reach }) => reach <= MOST_INTEGERS);
+    fit.sort((one, other) => one.sigma - other.sigma);
+    const ends = fit.length > 1 ? [fit[0], fit.at(-1)] : fit;
+    return ends.map(({ label, mean, sigma, reach, symbol, bits }) => {
+      const first = Math.round(mean) - reach;
+      const values = Array.from({ length: 2 * reach + 1 }, (_, i) => 2 ** -bits(first + i));
+      const said =
+        `${label}: mean ${mean.toFixed(1)}, σ ${sigma.toFixed(1)} steps. ` +
+        `The actual integer, ${symbol}, costs ${bits(symbol).toFixed(1)} bits.`;
+      return bars(values, said, [String(first), String(first + 2 * reach)], symbol - first);
+    });
   }
 
   const list = (values, from, count) =>
@@ -61,8 +126,6 @@
       }),
     );
   }
-
-  const MOST_ROWS = 200;
 
   function stored(model, a) {
     const { columns, q, mu_units, sigma_units, symbols } = model;
@@ -134,13 +197,10 @@
     ];
   }
 
-  const MOST_CHILDREN = 32;
-
   function children(frame, a) {
     const { model, camera, gaussians, moved } = frame;
     const { k, tau_alpha } = model.header;
-    const header = { ...model.header, tau_alpha: -Infinity };
-    const all = p4dgs.spatialPrediction({ ...model, header }, p4dgs.centreOf(camera));
+    const all = layers.kept(model, camera);
     const row = (child) => {
       const n = all.index.indexOf(child);
       const name = `child ${child - a * k}`;
@@ -175,5 +235,5 @@
     ];
   }
 
-  Object.assign(exported, { anchor, element, table, digits });
+  Object.assign(exported, { anchor, look, guesses, element, table });
 })((globalThis.explain = {}));

@@ -10,8 +10,10 @@
 
   const TIMES = 25; // of a path
   const MOST_PATHS = 400;
+  const MOST_MOTIONS = 250;
   const MOST_PRODUCTS = 2 ** 31; // multiplications for all paths
   const MOST_LINES = 33; // of a grid, along an axis
+  const AXES = "xyz";
   const INK = { dark: "#14202e", motion: "#b3420a", hidden: "#8a1c5b", cell: "#0b4f8a" };
 
   // --- drawing ----------------------------------------------------------------------------------
@@ -93,6 +95,23 @@
     }
   }
 
+  /** Squares at anchors, and lines to dots at those children that are drawn. */
+  function families(context, frame) {
+    const { model, gaussians } = frame;
+    const [lines, dots, squares] = [new Path2D(), new Path2D(), new Path2D()];
+    gaussians.index.forEach((child, n) => {
+      const from = placeRow(frame, model.x_a, Math.floor(child / model.header.k));
+      const to = centreOfSplat(frame, n);
+      if (!from || !to) return;
+      line(lines, from, to);
+      circle(dots, to, 2);
+      squares.rect(from[0] - 2.5, from[1] - 2.5, 5, 5);
+    });
+    stroke(context, lines, INK.cell, 0.8);
+    fill(context, dots, INK.cell);
+    fill(context, squares, INK.dark);
+  }
+
   function ellipses(context, frame) {
     const path = new Path2D();
     frame.gaussians.index.forEach((_, n) => ellipse(path, frame, n));
@@ -103,7 +122,8 @@
   function motion(context, frame) {
     const { gaussians } = frame;
     const [lines, rings, dots] = [new Path2D(), new Path2D(), new Path2D()];
-    for (let n = 0; n < gaussians.index.length; n++) {
+    const stride = Math.ceil(gaussians.index.length / MOST_MOTIONS);
+    for (let n = 0; n < gaussians.index.length; n += stride) {
       const [from, to] = [placeRow(frame, gaussians.x, n), placeRow(frame, frame.moved.x_t, n)];
       if (!from || !to || Math.hypot(from[0] - to[0], from[1] - to[1]) < 2) continue;
       line(lines, from, to);
@@ -113,6 +133,7 @@
     stroke(context, lines, INK.motion, 1);
     stroke(context, rings, INK.motion, 1);
     fill(context, dots, INK.motion);
+    return stride > 1 ? `Motion of one child in ${stride}.` : null;
   }
 
   let known = {};
@@ -156,14 +177,13 @@
     const ends = new Path2D();
     for (let n = 0; n < count; n++) {
       const [start, end] = [placeRow(frame, steps[0], n), placeRow(frame, steps[TIMES - 1], n)];
-      const moves = start && end && steps.some((step) => far(placeRow(frame, step, n), start));
+      const far = (at) => at && Math.hypot(at[0] - start[0], at[1] - start[1]) > 3;
+      const moves = start && end && steps.some((step) => far(placeRow(frame, step, n)));
       if (moves) circle(ends, end, 2);
     }
     fill(context, ends, INK.dark);
     return count < all ? `Paths of ${count} of ${all} children.` : null;
   }
-
-  const far = (at, from) => at && Math.hypot(at[0] - from[0], at[1] - from[1]) > 3;
 
   /** Crosses on the children that a mask keeps and tau_alpha hides from this camera. */
   function hidden(context, frame) {
@@ -187,57 +207,68 @@
   /** Of how many nodes one is drawn. */
   const every = (R) => Math.ceil((R - 1) / (MOST_LINES - 1)) || 1;
 
-  /** Adds lines of R nodes an axis in the plane of two axes, where the third one is `at`. */
-  function mesh(path, frame, axes, R, at) {
-    const third = 3 - axes[0] - axes[1];
-    const drawn = Array.from({ length: Math.ceil((R - 1) / every(R)) + 1 }, (_, i) => i * every(R));
-    for (const node of drawn.map((i) => Math.min(i, R - 1))) {
-      for (const [fixed, free] of [axes, [...axes].reverse()]) {
-        const ends = [0, 1].map((end) => {
-          const shares = [0, 0, 0];
-          [shares[fixed], shares[free], shares[third]] = [R > 1 ? node / (R - 1) : 0, end, at];
-          return place(frame, ...corner(frame.model, shares));
-        });
-        line(path, ...ends);
-      }
-    }
+  /** Level `level` of the grid: its axes, R nodes along each, and where its signs begin. */
+  function levelOf({ header }, level) {
+    const [names, R] = header.grid[level];
+    const before = header.grid.slice(0, level).map((one) => p4dgs.nodesOf(header, one));
+    const first = header.F * before.reduce((sum, count) => sum + count, 0);
+    const T = p4dgs.nodesOf(header, [names, R]);
+    return { axes: [...names].map((name) => AXES.indexOf(name)), R, first, T };
   }
 
-  const AXES = "xyz";
+  /** Where node `n` is on the stage: three numbers from 0 to R - 1. */
+  const placeNode = (frame, { R }, n) =>
+    place(frame, ...corner(frame.model, n.map((i) => (R > 1 ? i / (R - 1) : 0))));
 
-  /** The nodes of the chosen level, and its cell around the selected anchor. */
-  function grid(context, frame) {
-    const { model, selected, level } = frame;
-    const [names, R] = model.header.grid[level];
-    const axes = [...names].map((name) => AXES.indexOf(name));
-    const path = new Path2D();
-    if (axes.length === 2) mesh(path, frame, axes, R, 0);
-    else for (const pair of [[0, 1], [0, 2], [1, 2]]) mesh(path, frame, pair, R, 0);
-    stroke(context, path, INK.cell, 0.7);
-    const left = every(R) > 1 ? `Only one line in ${every(R)} is drawn.` : null;
-    if (selected === null) return left;
-    const cells = new Path2D();
-    cellOf(cells, frame, axes, R, selected);
-    stroke(context, cells, INK.cell, 2.2);
-    return left;
-  }
+  /** 1 for a plus, 0 for a minus: the first of the F signs of a node. */
+  const signOf = ({ model }, { axes, R, first, T }, n) =>
+    model.signs[first + model.header.F * p4dgs.hashRow(axes.map((axis) => n[axis]), R, T)];
 
-  /** Adds the cell of a level in which an anchor is: a box, or a rectangle in the plane. */
-  function cellOf(path, frame, axes, R, anchor) {
-    const range = [0, 1, 2].map((axis) => {
-      if (!axes.includes(axis)) return [0, 0];
-      const at = (frame.model.positions[3 * anchor + axis] / 65535) * (R - 1);
-      const base = Math.min(Math.floor(at), Math.max(R - 2, 0));
-      return R > 1 ? [base / (R - 1), (base + 1) / (R - 1)] : [0, 0];
+  /** Along each axis the nodes before and behind the selected anchor; the first one without it. */
+  function cellOf({ model, selected }, { axes, R }) {
+    return [0, 1, 2].map((axis) => {
+      if (selected === null || !axes.includes(axis)) return [0, 0];
+      const at = Math.floor((model.positions[3 * selected + axis] / 65535) * (R - 1));
+      const base = Math.min(at, Math.max(R - 2, 0));
+      return [base, Math.min(base + 1, R - 1)];
     });
-    const node = (bits) => range.map((ends, axis) => ends[(bits >> axis) & 1]);
-    for (let from = 0; from < 8; from++) {
-      for (let axis = 0; axis < 3; axis++) {
-        if ((from >> axis) & 1) continue;
-        const ends = [from, from | (1 << axis)].map((bits) => corner(frame.model, node(bits)));
-        line(path, ...ends.map((end) => place(frame, ...end)));
+  }
+
+  /** The nodes of the chosen level with their signs, in planes through the selected anchor's cell,
+   *  and this cell. */
+  function grid(context, frame) {
+    const level = levelOf(frame.model, frame.level);
+    const { axes, R } = level;
+    const [path, thick, dots] = [new Path2D(), new Path2D(), [new Path2D(), new Path2D()]];
+    const join = (to, ...ends) => line(to, ...ends.map((n) => placeNode(frame, level, n)));
+    const sign = (n, radius) => {
+      const at = placeNode(frame, level, n);
+      if (at) circle(dots[signOf(frame, level, n)], at, radius);
+    };
+    const cell = cellOf(frame, level);
+    const count = Math.ceil((R - 1) / every(R)) + 1;
+    const drawn = Array.from({ length: count }, (_, i) => Math.min(i * every(R), R - 1));
+    for (const [a, b] of axes.length === 2 ? [axes] : [[0, 1], [0, 2], [1, 2]]) {
+      const node = (i, j) => cell.map(([at], axis) => (axis === a ? i : axis === b ? j : at));
+      for (const i of drawn) {
+        join(path, node(i, 0), node(i, R - 1));
+        join(path, node(0, i), node(R - 1, i));
+        for (const j of drawn) sign(node(i, j), 2.2);
       }
     }
+    for (let from = 0; from < 8 && frame.selected !== null; from++) {
+      const node = (bits) => cell.map((ends, axis) => ends[(bits >> axis) & 1]);
+      sign(node(from), 4);
+      for (const bit of [1, 2, 4]) if (!(from & bit)) join(thick, node(from), node(from | bit));
+    }
+    stroke(context, path, INK.cell, 0.7);
+    stroke(context, thick, INK.cell, 2.2);
+    context.lineWidth = 3;
+    context.strokeStyle = INK.dark;
+    context.stroke(dots[0]); // a dark edge, so that white is seen on white
+    fill(context, dots[0], "#fff");
+    fill(context, dots[1], INK.dark);
+    return every(R) > 1 ? `Only one line in ${every(R)} is drawn.` : null;
   }
 
   // --- the selected anchor ----------------------------------------------------------------------
@@ -269,6 +300,6 @@
     return found;
   }
 
-  const LAYERS = { grid, ellipses, paths, motion, hidden, anchors };
-  Object.assign(exported, { LAYERS, selection, nearest, pathsOf, MOST_PATHS });
+  const LAYERS = { grid, ellipses, paths, motion, hidden, families, anchors };
+  Object.assign(exported, { LAYERS, selection, nearest, kept });
 })((globalThis.layers = {}));

@@ -895,8 +895,8 @@
     ];
   }
 
-  /** Products of vectors of three numbers, the second from number `i` of an array on. */
-  const dot = (a, b, i = 0) => a[0] * b[i] + a[1] * b[i + 1] + a[2] * b[i + 2];
+  /** Products of vectors: of three numbers of `b` from number i on, and of `a` from number j on. */
+  const dot = (a, b, i = 0, j = 0) => a[j] * b[i] + a[j + 1] * b[i + 1] + a[j + 2] * b[i + 2];
   const square = (a) => dot(a, a);
   const cross = ([a, b, c], [d, e, f]) => [b * f - c * e, c * d - a * f, a * e - b * d];
 
@@ -904,7 +904,7 @@
   function root(s, r) {
     const M = new Float64Array(3 * s.length);
     for (let n = 0; n < s.length / 3; n++) {
-      const R = rotationMatrix(...r.subarray(4 * n, 4 * n + 4));
+      const R = rotationMatrix(r[4 * n], r[4 * n + 1], r[4 * n + 2], r[4 * n + 3]);
       for (let i = 0; i < 9; i++) M[9 * n + i] = R[Math.floor(i / 3)][i % 3] * s[3 * n + (i % 3)];
     }
     return M;
@@ -928,20 +928,24 @@
     const [mean2d, depth] = [new Float64Array(2 * N), new Float64Array(N)];
     const [cov2d, conic] = [new Float64Array(3 * N), new Float64Array(3 * N)];
     const visible = new Uint8Array(N);
+    const right = M ?? Sigma;
+    const limit = [0, 1].map((row) => (1.3 * size[row]) / (2 * focal[row]));
+    const [place, V, product] = [[0, 0, 0], [[0, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]]];
+    const [u, v] = product;
+    const left = M ? product : V;
     for (let n = 0; n < N; n++) {
-      const at = x.subarray(3 * n, 3 * n + 3);
-      const [X, Y, z] = [0, 1, 2].map((i) => dot(at, W, 3 * i) + T[i]);
+      for (let i = 0; i < 3; i++) place[i] = dot(x, W, 3 * i, 3 * n) + T[i];
+      const [X, Y, z] = place;
       if (!(z > 0.2) || !Number.isFinite(X + Y + z)) continue;
-      // V = J W, whose rows are f / z (W_row - g W_z) with g = X / z, clipped to 1.3 half pictures.
-      const V = [X / z, Y / z].map((slope, row) => {
-        const limit = (1.3 * size[row]) / (2 * focal[row]);
-        const g = clip(slope, -limit, limit);
-        return [0, 1, 2].map((i) => (focal[row] / z) * (W[3 * row + i] - g * W[6 + i]));
-      });
-      const right = (M ?? Sigma).subarray(9 * n, 9 * n + 9);
-      const columns = [0, 1, 2].map((j) => [right[j], right[j + 3], right[j + 6]]);
-      const [u, v] = V.map((row) => columns.map((column) => dot(row, column)));
-      const left = M ? [u, v] : V;
+      for (let row = 0; row < 2; row++) {
+        // V = J W: its rows are f / z (W_row - g W_z) with g = X / z, clipped to 1.3 half pictures.
+        const g = clip(place[row] / z, -limit[row], limit[row]);
+        for (let i = 0; i < 3; i++) V[row][i] = (focal[row] / z) * (W[3 * row + i] - g * W[6 + i]);
+        const [V_x, V_y, V_z] = V[row];
+        for (let j = 0, at = 9 * n; j < 3; j++, at++) {
+          product[row][j] = V_x * right[at] + V_y * right[at + 3] + V_z * right[at + 6];
+        }
+      }
       const [a, b, c] = [dot(left[0], u) + 0.3, dot(left[0], v), dot(left[1], v) + 0.3];
       const determinant = M
         ? square(cross(u, v)) + 0.3 * (square(u) + square(v)) + 0.3 * 0.3
@@ -1027,5 +1031,5 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, root, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf, gaussianTable });
+  Object.assign(exported, { render, centreOf, gaussianTable, nodesOf, NETWORKS });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

@@ -13,30 +13,10 @@
   const PERIOD = 4000; // milliseconds in which time runs from 0 to 1
   const COMPARED = 128; // pixels along a side of the pictures whose PSNR is told
   const MOST_BYTES = 2 ** 29;
-
-  const LAYERS = {
-    anchors: ["Anchors", "Squares at x_a; a larger, lighter square costs more bits."],
-    ellipses: ["Children's ellipses", "Every Gaussian at one standard deviation."],
-    motion: ["Canonical against deformed", "From a ring at x to a dot at x_t, Eqs. (5) and (6)."],
-    paths: ["Paths over time", "From time 0 (thin, dark) to 1 (thick, light, with a dot)."],
-    hidden: ["Children below τ_α", "Crosses on those that this camera does not see, Eq. (3)."],
-    grid: ["Hash grid", "Nodes of a level, Eq. (9), and the cell of the chosen anchor."],
-  };
-
-  const PARTS = {
-    container: "Magic, version, lengths of the sections, checksum.",
-    header: "The design: widths, effects, levels, background.",
-    positions: "The box of the scene, and a lattice point for each anchor.",
-    features: "f_a: what the networks read of each anchor.",
-    scales: "s_a: how large the children of an anchor may be.",
-    offset_scales: "l_a: how far from the anchor they stand.",
-    offsets: "O_a: where each child stands.",
-    masks: "One flag for each child: is it drawn?",
-    hash_grid: "Signs at the nodes of the grid, from which the context is read.",
-    deformation_mlp: "ψ_d: how every Gaussian moves, Eq. (5).",
-    anchor_mlps: "ψ_α, ψ_c, ψ_r, ψ_s: opacity, colour, rotation, scale; Eqs. (3) and (4).",
-    context_mlps: "ψ_p, ψ_q: means, deviations and steps, Eqs. (8) and (12).",
-  };
+  const TURN = 16000; // milliseconds in which the camera goes around the scene by itself
+  const SLOW = 50; // milliseconds; where frames take longer, a picture that moves has fewer pixels
+  const MOST_FEWER = 4; // so that something can still be seen
+  const WALK = 48; // places of a walk around the scene
 
   const state = {
     name: "",
@@ -48,12 +28,13 @@
     azimuth: 0,
     elevation: 0,
     distance: 1,
+    shift: [0, 0, 0], // from the middle of the box to where the camera looks
+    isMoved: false, // the camera, by the visitor
     playing: false,
+    turning: false, // the camera, by itself
     phase: 0, // of time to and fro: 0 ... 2
-    shown: new Set(),
     selected: null,
-    canvas: false,
-    unchanged: false,
+    fewer: 1, // pixels along a side are divided by it while the picture moves
   };
 
   // --- camera -----------------------------------------------------------------------------------
@@ -63,47 +44,53 @@
   const homeDistance = ({ lo, hi }) =>
     1.36 * Math.hypot(...hi.map((v, i) => v - lo[i])) || 1;
 
-  function goHome() {
+  function home() {
     const distance = homeDistance(state.model);
-    Object.assign(state, { azimuth: 40, elevation: 30, distance });
+    const shift = [0, 0, 0];
+    Object.assign(state, { azimuth: 40, elevation: 30, distance, shift, isMoved: false });
+    ask();
   }
 
-  /** The camera that looks at the middle of the box; angles in degrees. */
-  function cameraOf({ model, azimuth, elevation, distance }, pixels) {
+  /** The camera that looks at the middle of the box, or beside it; angles in degrees. */
+  function cameraOf({ model, azimuth, elevation, distance, shift }, pixels) {
     const [a, e] = [azimuth, elevation].map((angle) => (angle * Math.PI) / 180);
     const [sin_a, cos_a, sin_e, cos_e] = [Math.sin(a), Math.cos(a), Math.sin(e), Math.cos(e)];
     const W = [-sin_a, cos_a, 0, sin_e * cos_a, sin_e * sin_a, -cos_e];
     W.push(-cos_e * cos_a, -cos_e * sin_a, -sin_e);
-    const [x, y, z] = middle(model);
+    const [x, y, z] = middle(model).map((v, i) => v + shift[i]);
     const T = [0, 1, 2].map((i) => -(W[3 * i] * x + W[3 * i + 1] * y + W[3 * i + 2] * z));
     T[2] += distance;
     const focal = pixels / 2 / Math.tan(FIELD / 2);
     const center = (pixels - 1) / 2;
-    const size = [pixels, pixels];
-    return { W, T, focal: [focal, focal], center: [center, center], size };
-  }
-
-  let lastCamera = null;
-
-  /** The same object as long as nothing moves: what depends on the camera alone is then kept. */
-  function camera() {
-    const made = cameraOf(state, Number($("size").value));
-    if (JSON.stringify(made) !== JSON.stringify(lastCamera)) lastCamera = made;
-    return lastCamera;
+    return { W, T, focal: [focal, focal], center: [center, center], size: [pixels, pixels] };
   }
 
   const time = () => Number($("time").value);
+  const clip = (v, low, high) => Math.min(Math.max(v, low), high);
 
-  function turn(azimuth, elevation) {
-    state.azimuth = (state.azimuth + azimuth) % 360;
-    state.elevation = Math.min(Math.max(state.elevation + elevation, -89), 89);
-    ask();
+  /** Sets what is given of azimuth, elevation, distance and shift, within their ranges. */
+  function aim(changes) {
+    const to = { ...state, ...changes };
+    const home = homeDistance(state.model);
+    const shift = to.shift.map((v) => clip(v, -2 * home, 2 * home));
+    const elevation = clip(to.elevation, -89, 89);
+    const distance = clip(to.distance, home / 10, home * 10);
+    const azimuth = ((to.azimuth % 360) + 360) % 360;
+    Object.assign(state, { azimuth, elevation, distance, shift, isMoved: true, turning: false });
+    moving();
   }
 
-  function zoom(factor) {
-    const home = homeDistance(state.model);
-    state.distance = Math.min(Math.max(state.distance * factor, home / 10), home * 10);
-    ask();
+  function turn(azimuth, elevation) {
+    aim({ azimuth: state.azimuth + azimuth, elevation: state.elevation + elevation });
+  }
+
+  const zoom = (factor) => aim({ distance: state.distance * factor });
+
+  /** Moves the scene by some pixels of the stage. */
+  function pan(right, down) {
+    const { W } = cameraOf(state, 1);
+    const unit = (2 * state.distance * Math.tan(FIELD / 2)) / $("stage").clientWidth;
+    aim({ shift: state.shift.map((v, i) => v - unit * (right * W[i] + down * W[3 + i])) });
   }
 
   // --- drawing ----------------------------------------------------------------------------------
@@ -133,18 +120,41 @@
   }
 
   /** The model that is shown: the file's, or the requantised one. */
-  const current = () => (state.changed && !state.unchanged ? state.changed.model : state.model);
+  const current = () =>
+    state.changed && !$("unchanged").checked ? state.changed.model : state.model;
 
-  let before = null;
-
-  /** Moves time on while it plays. */
+  let [before, slowFrames, atRest] = [null, 0, 0];
+  const goesOn = () => state.playing || state.turning;
+  /** Moves time or the camera on. */
   function advance(now) {
-    if (state.playing && before !== null) {
-      state.phase = (state.phase + Math.min(now - before, 200) / PERIOD) % 2;
+    const spent = before === null ? 0 : Math.min(now - before, 200);
+    if (state.playing) {
+      state.phase = (state.phase + spent / PERIOD) % 2;
       $("time").value = String(state.phase < 1 ? state.phase : 2 - state.phase);
     }
-    before = state.playing ? now : null;
+    if (state.turning) state.azimuth = (state.azimuth + (360 * spent) / TURN) % 360;
+    before = goesOn() ? now : null;
     $("time-now").value = time().toFixed(2);
+  }
+
+  /** Asks for a picture that the visitor moves; another one follows when it is at rest. */
+  function moving() {
+    clearTimeout(atRest);
+    atRest = setTimeout(() => {
+      atRest = 0;
+      state.fewer = Math.max(state.fewer / 2, 1); // the next time, one more is tried
+      ask();
+    }, 250);
+    ask();
+  }
+
+  /** Pixels along a side: fewer while the picture moves and three frames in turn were slow. */
+  function pixels(spent) {
+    const all = Number($("size").value);
+    if (!goesOn() && !atRest) return all;
+    slowFrames = spent > SLOW ? (slowFrames % 3) + 1 : 0;
+    if (slowFrames === 3) state.fewer = Math.min(2 * state.fewer, MOST_FEWER);
+    return Math.max(Math.round(all / state.fewer), Math.min(all, 64));
   }
 
   /** Writes a text where it is another one, so that it is not read aloud with every picture. */
@@ -154,7 +164,7 @@
 
   /** Draws splats by WebGL2 or on the canvas; returns what the corner says. */
   function show(splats, scene) {
-    const flat = state.canvas || !glass;
+    const flat = $("canvas-path").checked || !glass;
     $("picture").hidden = !flat;
     $("glass").hidden = flat;
     if (!flat) {
@@ -176,35 +186,37 @@
     const { k } = state.model.header;
     const color = new Float64Array(3 * splats.alpha.length);
     const { share } = bits();
-    gaussians.index.forEach((child, n) => {
-      color.set(draw.viridis(share(Math.floor(child / k))), 3 * n);
-    });
+    const put = (child, n) => color.set(draw.viridis(share(Math.floor(child / k))), 3 * n);
+    gaussians.index.forEach(put);
     return { ...splats, color };
   }
 
   function paint(now) {
     const { model } = state;
     if (!model) return;
+    const interval = before === null ? 0 : now - before; // also what the graphics card takes
     advance(now);
     const start = performance.now();
-    const [drawn, seen, t, what] = [current(), camera(), time(), $("shown").value];
+    const seen = cameraOf(state, pixels(Math.max(state.spent, interval)));
+    const [drawn, t, what] = [current(), time(), $("shown").value];
     const found = draw.see(drawn, seen, t, { canonical: what === "canonical" });
     const isBits = what === "bits";
     const scene = draw.settings(drawn, seen, isBits ? [1, 1, 1] : undefined);
     const path = show(isBits ? bitColors(found) : found.splats, scene);
     const frame = { ...found, model: drawn, camera: seen, t, selected: state.selected };
-    drawAbove(frame);
-    const spent = performance.now() - start;
-    const count = found.gaussians.index.length.toLocaleString("en");
-    $("corner").textContent = `${path} · ${count} Gaussians · ${spent.toFixed(0)} ms`;
-    state.frame = frame;
+    drawAbove(frame, isBits);
+    Object.assign(state, { frame, spent: performance.now() - start });
+    const count = `${whole(found.gaussians.index.length)} Gaussians · ${seen.size[0]} px`;
+    $("corner").textContent = `${path} · ${count} · ${state.spent.toFixed(0)} ms`;
+    if ($("walker")) $("walker").style.left = `${state.azimuth / 3.6}%`;
     if (state.changed) compareSoon();
-    if (state.playing) ask();
+    if (goesOn()) ask();
     else explainSoon();
+    document.dispatchEvent(new Event("painted"));
   }
 
-  /** The layers, at the resolution of the screen. */
-  function drawAbove(frame) {
+  /** The layers, at the resolution of the screen, and the legend of bits where they are shown. */
+  function drawAbove(frame, isBits) {
     const canvas = $("above");
     const side = $("stage").clientWidth;
     const fine = window.devicePixelRatio || 1;
@@ -215,9 +227,12 @@
     context.clearRect(0, 0, side, side);
     frame.scale = side / frame.camera.size[0];
     frame.level = Number($("level").value);
-    frame.bits = state.shown.has("anchors") ? bits() : null;
+    frame.bits = isBits || $("layer-anchors").checked ? bits() : null;
+    $("legend").hidden = !frame.bits;
+    tell("legend-low", `${frame.bits?.least.toFixed(0)} bits an anchor`);
+    tell("legend-high", `${frame.bits?.most.toFixed(0)} bits`);
     const notes = Object.entries(layers.LAYERS)
-      .filter(([name]) => state.shown.has(name))
+      .filter(([name]) => $(`layer-${name}`).checked)
       .map(([, layer]) => layer(context, frame));
     tell("layers-say", notes.filter(Boolean).join(" "));
     layers.selection(context, frame);
@@ -228,22 +243,9 @@
   function bits() {
     if (state.bits) return state.bits;
     const each = requantise.anchorBits(state.model);
-    const [least, most] = [each.reduce(lesser), each.reduce(greater)];
+    const [least, most] = [Math.min, Math.max].map((end) => each.reduce((a, b) => end(a, b)));
     const share = (a) => (most > least ? (each[a] - least) / (most - least) : 0.5);
     return (state.bits = { each, least, most, share });
-  }
-
-  const lesser = (a, b) => Math.min(a, b);
-  const greater = (a, b) => Math.max(a, b);
-
-  function drawLegend() {
-    const isShown = $("shown").value === "bits" || state.shown.has("anchors");
-    $("legend").hidden = !isShown;
-    if (!isShown) return;
-    const stops = [0, 0.25, 0.5, 0.75, 1].map(draw.css);
-    $("legend-colors").style.background = `linear-gradient(to right, ${stops.join(", ")})`;
-    $("legend-low").textContent = `${bits().least.toFixed(0)} bits an anchor`;
-    $("legend-high").textContent = `${bits().most.toFixed(0)} bits`;
   }
 
   // --- the file as a strip ----------------------------------------------------------------------
@@ -257,21 +259,27 @@
   const whole = (count) => count.toLocaleString("en");
   const total = (sizes) => Object.values(sizes).reduce((sum, size) => sum + size, 0);
 
+  /** What a section holds, as the page says it. */
+  const holds = (name) => $(`holds-${name}`).textContent;
+
   function drawStrip() {
     $("section-says").textContent = ""; // its bytes may be others now
     const own = withContainer(state.model.bytes);
     const now = withContainer(state.changed ? state.changed.bytes : state.model.bytes);
     const names = Object.keys(own);
-    $("file-says").textContent =
-      `${state.name}: ${whole(state.data.length)} bytes, version ${state.model.version} of the ` +
-      `format, ${whole(state.model.header.anchors)} anchors of ${state.model.header.k} children.`;
+    const { header, version } = state.model;
+    $("file-says").replaceChildren(
+      element("bdi", {}, state.name),
+      `: ${whole(state.data.length)} bytes, ${whole(header.anchors)} anchors with up to ` +
+        `${header.k} children, version ${version} of the format`,
+    );
     $("strip").replaceChildren(...names.map((name, i) => partOf(name, i, names.length, now)));
     const estimate = (size) => (state.changed ? [whole(size)] : []);
     const row = (name, size, changed, says) => {
       const share = percent(size, state.data.length);
       return [name, whole(size), share, ...estimate(changed), says];
     };
-    const rows = names.map((name, i) => row(`${i + 1} ${name}`, own[name], now[name], PARTS[name]));
+    const rows = names.map((name, i) => row(`${i + 1} ${name}`, own[name], now[name], holds(name)));
     rows.push(row("all", state.data.length, total(now), ""));
     const estimated = state.changed ? ["estimate"] : [];
     const head = ["section", "bytes", "share", ...estimated, "what it holds"];
@@ -280,26 +288,28 @@
 
   /** One section of the strip: as wide as its bytes, with the number of its row in the table. */
   function partOf(name, i, count, sizes) {
-    const said = `${i + 1} ${name}: ${whole(sizes[name])} bytes. ${PARTS[name]}`;
-    const label = element("span", {}, String(i + 1));
-    const button = element("button", { title: said, "aria-label": said }, label);
-    button.setAttribute("aria-pressed", "false");
+    const said = `${i + 1} ${name}: ${whole(sizes[name])} bytes. ${holds(name)}`;
+    const names = { title: said, "aria-label": said, "aria-pressed": "false" };
+    const button = element("button", names, element("span", {}, String(i + 1)));
     button.style.flex = `${sizes[name]} 1 0.8rem`;
     button.style.setProperty("--part", draw.css((i / count) * 0.85));
     button.addEventListener("click", () => {
-      for (const other of $("strip").children) other.setAttribute("aria-pressed", "false");
-      button.setAttribute("aria-pressed", "true");
+      for (const one of $("strip").children) one.setAttribute("aria-pressed", one === button);
       $("section-says").textContent = said;
     });
     return button;
   }
 
   // --- requantising -----------------------------------------------------------------------------
+  const BROKEN = ["weight", "frequency", "no-context", "no-masks"];
+
   const changes = () => ({
     coarser: 2 ** Number($("coarser").value),
     dropped: Number($("dropped").value),
-    masks: $("masks").checked,
-    context: $("context").checked,
+    masks: !$("no-masks").checked,
+    context: !$("no-context").checked,
+    weight: $("weight").checked,
+    frequency: $("frequency").checked,
   });
 
   function change() {
@@ -308,7 +318,7 @@
     state.changed = isSame ? null : requantise.requantise(state.model, state.sections, how);
     $("coarser-now").value = String(Number(how.coarser.toPrecision(2)));
     $("dropped-now").value = String(how.dropped);
-    showUnchanged(false);
+    $("unchanged").checked = false;
     drawStrip();
     compare();
     ask();
@@ -316,14 +326,8 @@
 
   function undo() {
     for (const id of ["coarser", "dropped"]) $(id).value = "0";
-    for (const id of ["masks", "context"]) $(id).checked = true;
+    for (const id of BROKEN) $(id).checked = false;
     change();
-  }
-
-  function showUnchanged(isShown) {
-    state.unchanged = isShown;
-    $("unchanged").setAttribute("aria-pressed", String(isShown));
-    ask();
   }
 
   /** A picture of a model for the comparison, on the processor. */
@@ -366,26 +370,32 @@
     };
   }
 
-  const compareSoon = later(compare, 400);
+  const compareSoon = later(compare, 1000);
 
   // --- one anchor -------------------------------------------------------------------------------
   function select(anchor) {
     state.selected = anchor;
     $("anchor").value = anchor === null ? "" : String(anchor);
     state.explained = null;
+    $("anchor-shown").hidden = anchor === null;
     ask();
-    if (anchor === null) $("anchor-tables").replaceChildren();
-    else explainSoon(); // also while time runs
+    explainSoon(); // also while time runs
   }
 
-  /** The tables of the selected anchor, where the camera or the time are others than before. */
+  /** The pictures and tables of the selected anchor, where the camera or the time are others than
+   *  before. They are of the file, not of the requantised one. */
   function explainAnchor() {
-    const { frame, selected } = state;
+    const { frame, selected, model } = state;
     if (selected === null || !frame || state.explained === frame) return;
     state.explained = frame;
+    const from = (_, i) => cameraOf({ ...state, azimuth: (360 * i) / WALK }, 1);
+    const around = Array.from({ length: WALK + 1 }, from);
+    $("anchor-look").replaceChildren(...explain.look(model, selected, around));
+    $("anchor-guesses").replaceChildren(...explain.guesses(model, selected));
+    if (!$("anchor-tables").offsetParent) return; // the guide does not show them
     const scrolled = [...$("anchor-tables").children].map(({ scrollTop }) => scrollTop);
-    const [model, seen, t] = [state.model, frame.camera, frame.t];
-    const own = { model, camera: seen, t, ...draw.see(model, seen, t) }; // not the requantised one
+    const [seen, t] = [frame.camera, frame.t];
+    const own = { model, camera: seen, t, ...draw.see(model, seen, t) };
     const tables = explain.anchor(own, selected, 8 * state.data.length);
     $("anchor-tables").replaceChildren(...tables);
     tables.forEach((table, i) => (table.scrollTop = scrolled[i] ?? 0));
@@ -410,47 +420,48 @@
   };`;
 
   let end = () => {}; // of the decoding that is under way
+  class NoWorker extends Error {}
 
   /** The model in a file. It is decoded beside the page, which goes on meanwhile, until it takes
-   *  too long or another file is opened; then the promise is never kept. */
-  function decoded(data) {
+   *  too long or another file is opened; then the promise is never kept. Where the browser starts
+   *  no worker for a page from disk, the page decodes the file itself. */
+  async function decoded(data) {
     end();
-    const port = $("files").nextElementSibling.text; // p4dgs.js, where it is inside of the page
-    const url = URL.createObjectURL(new Blob([port, DECODE], { type: "text/javascript" }));
-    const worker = port && workerOf(url);
-    if (!worker) return Promise.resolve(p4dgs.decode(data));
-    return new Promise((resolve, reject) => {
-      const late = `decoding takes more than ${PATIENCE} seconds`;
-      const timer = setTimeout(() => settle(reject, new Error(late)), 1000 * PATIENCE);
+    try {
+      return await inWorker(data);
+    } catch (error) {
+      if (error instanceof NoWorker) return p4dgs.decode(data);
+      throw error;
+    } finally {
+      end();
+    }
+  }
+
+  const inWorker = (data) =>
+    new Promise((resolve, reject) => {
+      const port = $("files").nextElementSibling.text; // p4dgs.js, where it is inside of the page
+      if (!port) throw new NoWorker();
+      const url = URL.createObjectURL(new Blob([port, DECODE], { type: "text/javascript" }));
+      const worker = new Worker(url);
+      const late = new Error(`decoding takes more than ${PATIENCE} seconds`);
+      const timer = setTimeout(() => reject(late), 1000 * PATIENCE);
+      $("progress").hidden = false;
       end = () => {
+        $("progress").hidden = true;
         clearTimeout(timer);
         worker.terminate();
         URL.revokeObjectURL(url);
       };
-      const settle = (call, value) => {
-        end();
-        call(value);
-      };
       worker.onmessage = ({ data: { model, said } }) =>
-        model ? settle(resolve, model) : settle(reject, new Error(said));
-      worker.onerror = () => settle(reject, new Error("the browser cannot decode it"));
+        model ? resolve(model) : reject(new Error(said));
+      worker.onerror = () => reject(new NoWorker());
       worker.postMessage(data);
     });
-  }
-
-  /** A worker, or null where the browser allows none to a page from disk. */
-  function workerOf(url) {
-    try {
-      return new Worker(url);
-    } catch {
-      return null;
-    }
-  }
 
   /** Says in one line why a file is not shown. The scene before it stays. */
   function refuse(name, said) {
     const stays = state.model ? ` The previous scene, ${state.name}, stays.` : "";
-    $("message").textContent = `${name}: ${said}.${stays}`;
+    $("message").replaceChildren(element("bdi", {}, name), `: ${said}.${stays}`);
   }
 
   /** Shows a model and the bytes that it comes from, if it is small enough for this page. */
@@ -463,9 +474,10 @@
     const { sections } = p4dgs.openContainer(data);
     const size = state.model ? homeDistance(state.model) : Infinity;
     Object.assign(state, { name, data, model, sections, bits: null, changed: null });
+    Object.assign(state, { fewer: 1, spent: 0 });
     $("message").textContent = "";
     $("all").hidden = false; // the controls need a scene
-    if (Math.abs(homeDistance(model) - size) > 0.2 * size || size === Infinity) goHome();
+    if (Math.abs(homeDistance(model) - size) > 0.2 * size || size === Infinity) home();
     opened(); // from where the camera stands, if the scenes are as large as each other
   }
 
@@ -479,52 +491,56 @@
     $("anchor").max = String(state.model.header.anchors - 1);
     select(null);
     undo();
-    drawLegend();
+    document.dispatchEvent(new Event("opened"));
   }
 
   let request = 0; // files so far; the last one that is asked for is shown, whichever ends last
 
-  async function open(file) {
-    if (!file) return;
+  /** Shows a file, whose bytes `read` promises; says whether it is shown. */
+  async function open(name, read) {
     const own = ++request;
     $("message").textContent = "";
     try {
-      const isLarge = file.size > MOST_BYTES;
-      if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
-      const data = new Uint8Array(await file.arrayBuffer());
+      const data = await read();
       const model = own === request && (await decoded(data));
-      if (own !== request) return;
-      load(file.name, data, model);
-      $("embedded").hidden = $("scene").options.length === 0;
-      if (state.data === data) $("scene").selectedIndex = -1; // each embedded file can be chosen
+      if (own === request) load(name, data, model);
+      return state.data === data;
     } catch (error) {
-      if (own === request) refuse(file.name, error.message);
+      if (own === request) refuse(name, error.message);
     }
   }
 
+  /** Shows a file of the visitor. */
+  async function openFile(file) {
+    if (!file) return;
+    const isShown = await open(file.name, async () => {
+      const isLarge = file.size > MOST_BYTES;
+      if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
+      return new Uint8Array(await file.arrayBuffer());
+    });
+    if (!isShown) return;
+    $("scene").hidden = $("scene").options.length === 0;
+    $("scene").selectedIndex = -1; // each embedded file can be chosen
+  }
+
   const decodeBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const files = JSON.parse($("files").textContent);
+
+  /** Shows the embedded file that is chosen. */
+  function openEmbedded() {
+    const file = files[$("scene").selectedIndex];
+    if (file) open(file.name, () => decodeBase64(file.base64));
+  }
 
   function embedded() {
-    const files = JSON.parse($("files").textContent);
-    const options = files.map(({ name, base64 }, i) => {
+    const options = files.map(({ name, base64 }) => {
       const size = whole(decodeBase64(base64).length);
-      return element("option", { value: String(i) }, `${name}, ${size} bytes`);
+      return element("option", {}, `\u2068${name}\u2069, ${size} bytes`); // as <bdi> does it
     });
     $("scene").replaceChildren(...options);
-    $("embedded").hidden = files.length < 2;
-    const choose = (i) => {
-      end();
-      request += 1;
-      const data = decodeBase64(files[i].base64);
-      try {
-        load(files[i].name, data, p4dgs.decode(data));
-      } catch (error) {
-        refuse(files[i].name, error.message);
-      }
-    };
-    $("scene").addEventListener("change", () => choose(Number($("scene").value)));
-    if (files.length) choose(0);
-    else $("message").textContent = "Open a .p4dgs file, or drop one on this page.";
+    $("scene").hidden = files.length < 2;
+    $("scene").addEventListener("change", openEmbedded);
+    if (!files.length) $("message").textContent = "Open a .p4dgs file, or drop one on this page.";
   }
 
   // --- controls ---------------------------------------------------------------------------------
@@ -536,55 +552,51 @@
     ask();
   }
 
-  function layerControls() {
-    const controls = Object.entries(LAYERS).map(([name, [label, says]]) => {
-      const [id, described] = [`layer-${name}`, `layer-${name}-says`];
-      const box = element("input", { type: "checkbox", id, "aria-describedby": described });
-      box.addEventListener("change", () => {
-        state.shown[box.checked ? "add" : "delete"](name);
-        drawLegend();
-        ask();
-      });
-      const text = element("label", { for: id }, label);
-      const said = element("small", { id: described }, says);
-      return element("div", { class: "check" }, box, text, said);
-    });
-    $("layers").replaceChildren(...controls);
-  }
-
   /** What a key does while the picture has the focus. */
   function keys() {
-    const layer = (i) => () => $(`layer-${Object.keys(LAYERS)[i]}`).click();
-    const later = (by) => () => {
-      $("time").value = String(time() + by);
-      state.phase = time();
-      ask();
-    };
+    const boxes = [...$("layers").querySelectorAll("input")];
+    const wait = (by) => () => setTime(time() + by);
+    const arrow = (right, down) => (isShifted) =>
+      isShifted ? pan(20 * right, 20 * down) : turn(5 * right, -5 * down);
     return {
-      ArrowLeft: () => turn(-5, 0),
-      ArrowRight: () => turn(5, 0),
-      ArrowUp: () => turn(0, 5),
-      ArrowDown: () => turn(0, -5),
+      ArrowLeft: arrow(-1, 0),
+      ArrowRight: arrow(1, 0),
+      ArrowUp: arrow(0, -1),
+      ArrowDown: arrow(0, 1),
       "+": () => zoom(0.9),
       "=": () => zoom(0.9),
       "-": () => zoom(1 / 0.9),
       " ": () => play(!state.playing),
-      ",": later(-0.02),
-      ".": later(0.02),
+      ",": wait(-0.02),
+      ".": wait(0.02),
       "[": () => step(-1),
       "]": () => step(1),
+      f: fullScreen,
       Home: home,
       Escape: () => select(null),
-      ...Object.fromEntries(Object.keys(LAYERS).map((_, i) => [String(i + 1), layer(i)])),
+      ...Object.fromEntries(boxes.map((box, i) => [String(i + 1), () => box.click()])),
     };
   }
 
-  function home() {
-    goHome();
-    ask();
+  function setTime(t) {
+    $("time").value = String(t);
+    state.phase = time();
+    moving();
   }
 
-  /** Mouse and touch: one pointer turns, two zoom, a short one selects. */
+  /** The picture fills the screen, or the window where the browser does not give it the screen. */
+  async function fullScreen() {
+    const isFull = $("view").classList.toggle("full");
+    $("full").setAttribute("aria-pressed", String(isFull));
+    try {
+      if (isFull) await $("view").requestFullscreen();
+      else if (document.fullscreenElement) await document.exitFullscreen();
+    } catch {
+      // the class alone fills the window
+    }
+  }
+
+  /** Mouse and touch: one pointer turns, two zoom and move, a short one selects. */
   function pointers(stage) {
     const down = new Map(); // the pointers that touch the stage, and where they are
     let moved = 0;
@@ -603,10 +615,17 @@
       const was = down.size === 2 ? apart() : 0;
       const [x, y] = [event.clientX, event.clientY];
       down.set(event.pointerId, { x, y });
-      moved += Math.hypot(x - from.x, y - from.y);
-      if (down.size === 2) zoom(was / Math.max(apart(), 1));
-      else turn(-0.5 * (x - from.x), 0.5 * (y - from.y));
+      const [right, below] = [x - from.x, y - from.y];
+      moved += Math.hypot(right, below);
+      if (down.size === 2) {
+        zoom(was / Math.max(apart(), 1));
+        pan(right / 2, below / 2); // each finger moves the middle by half of its way
+      } else if (event.shiftKey) pan(right, below);
+      else turn(-0.5 * right, 0.5 * below);
     });
+    // The browser scrolls the page by upright swipes of one finger, but not by two fingers.
+    const two = (event) => event.touches.length > 1 && event.preventDefault();
+    stage.addEventListener("touchstart", two, { passive: false });
     const up = (event) => {
       const isClick = event.type === "pointerup" && moved < 5 && down.has(event.pointerId);
       down.delete(event.pointerId);
@@ -616,8 +635,10 @@
     };
     for (const name of ["pointerup", "pointercancel"]) stage.addEventListener(name, up);
     const wheel = (event) => {
+      const isOurs = event.ctrlKey || document.activeElement === stage;
+      if (!isOurs && !$("view").classList.contains("full")) return;
       event.preventDefault();
-      if (state.model) zoom(Math.exp(Math.min(Math.max(event.deltaY, -200), 200) / 1000));
+      if (state.model) zoom(Math.exp(clip(event.deltaY, -200, 200) / 1000));
     };
     stage.addEventListener("wheel", wheel, { passive: false });
   }
@@ -625,62 +646,64 @@
   function controls() {
     const on = (id, event, call) => $(id).addEventListener(event, call);
     on("open", "change", () => {
-      open($("open").files[0]);
+      openFile($("open").files[0]);
       $("open").value = ""; // so that the same file can be opened again
     });
     on("play", "click", () => play(!state.playing));
     on("home", "click", home);
-    on("time", "input", () => {
-      state.phase = time();
-      ask();
+    on("time", "input", () => setTime(time()));
+    on("full", "click", fullScreen);
+    document.addEventListener("fullscreenchange", () => {
+      const isLeft = !document.fullscreenElement && $("view").classList.contains("full");
+      if (isLeft) fullScreen();
     });
-    on("shown", "change", () => {
-      drawLegend();
-      ask();
-    });
-    for (const id of ["size", "level"]) on(id, "change", ask);
-    on("canvas-path", "change", () => {
-      state.canvas = $("canvas-path").checked;
-      ask();
-    });
+    const drawn = ["shown", "layers", "level", "size", "canvas-path", "unchanged"];
+    for (const id of drawn) on(id, "change", ask);
     const changeSoon = later(change, 30);
-    for (const id of ["coarser", "dropped", "masks", "context"]) on(id, "input", changeSoon);
-    on("unchanged", "click", () => showUnchanged(!state.unchanged));
+    for (const id of ["coarser", "dropped", ...BROKEN]) on(id, "input", changeSoon);
     on("reset", "click", undo);
     on("anchor", "change", () => {
-      const asked = Number($("anchor").value);
-      const isOne = $("anchor").value !== "" && Number.isInteger(asked);
-      const { anchors } = state.model.header;
-      select(isOne ? Math.min(Math.max(asked, 0), anchors - 1) : null);
+      const { value, max } = $("anchor");
+      select(value === "" ? null : clip(Math.round(Number(value)), 0, Number(max)));
     });
     const known = keys();
     on("stage", "keydown", (event) => {
       const call = !event.ctrlKey && !event.metaKey && !event.altKey && known[event.key];
       if (!call || !state.model) return;
       event.preventDefault();
-      call();
+      call(event.shiftKey);
     });
     pointers($("stage"));
-    dropping();
+    for (const name of ["dragover", "dragleave", "drop"]) document.addEventListener(name, dropping);
     new ResizeObserver(ask).observe($("stage"));
   }
 
   /** A file may be dropped anywhere. */
-  function dropping() {
-    const on = (name, call) =>
-      document.addEventListener(name, (event) => {
-        event.preventDefault();
-        document.body.classList.toggle("dropping", name === "dragover");
-        call(event);
-      });
-    on("dragover", () => {});
-    on("dragleave", () => {});
-    on("drop", (event) => open(event.dataTransfer.files[0]));
+  function dropping(event) {
+    event.preventDefault();
+    document.body.classList.toggle("dropping", event.type === "dragover");
+    if (event.type === "drop") openFile(event.dataTransfer.files[0]);
+  }
+
+  /** Puts the picture into a state; what `settings` leave out is as a file is opened. */
+  function arrange(settings) {
+    const { shown = "scene", checked = [], playing, turning } = settings;
+    undo();
+    home();
+    $("shown").value = shown;
+    $("level").selectedIndex = 0;
+    for (const box of $("layers").querySelectorAll("input")) box.checked = false;
+    for (const id of checked) $(id).checked = true;
+    change();
+    setTime(0.3);
+    select(null);
+    state.turning = Boolean(turning);
+    play(Boolean(playing));
   }
 
   openGlass();
-  layerControls();
   controls();
   embedded();
-  Object.assign(exported, { state, paint });
+  Object.assign(exported, { state, paint, arrange, aim, play, setTime, bits, change, whole });
+  Object.assign(exported, { homeDistance, cameraOf, openEmbedded, select, ask, later });
 })((globalThis.page = {}));

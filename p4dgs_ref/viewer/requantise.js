@@ -9,8 +9,6 @@
   const { roundHalfEven } = p4dgs;
   const UNITS = { mu: 1024, sigma: 16 }; // mu / q in 1/1024, log2(sigma / q) in 1/16
   const MASKED = 1; // masks of the children, in the order of the sections
-  const GATES = ["psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d"];
-  const SECTION_OF = { psi_d: "deformation_mlp" };
 
   // --- prices -----------------------------------------------------------------------------------
   /** The bits of a symbol: -log2 of its frequency, its low bits, and Elias's code of an escape. */
@@ -64,13 +62,15 @@
 
   // --- a coarser file ---------------------------------------------------------------------------
   const UNCHANGED = { coarser: 1, dropped: 0, masks: true, context: true };
+  Object.assign(UNCHANGED, { weight: false, frequency: false });
 
   /** The model and the estimated bytes of each section, {model, bytes}.
    *
    *  `coarser` multiplies every step q. `dropped` is the number of low bits that each weight of the
    *  networks that draw loses. Without `masks` every child is in the file, and the offsets of those
    *  that were not are the means of Eq. (12). Without `context` there is neither the hash grid nor
-   *  a context network: q = Q_0, and one mean and deviation for every column of attributes. */
+   *  a context network: q = Q_0, and one mean and deviation for every column of attributes.
+   *  `weight` and `frequency` break psi_d, see below. */
   function requantise(model, sections, changes) {
     const how = { ...UNCHANGED, ...changes };
     const bytes = { ...model.bytes };
@@ -85,6 +85,8 @@
       bytes[group.section] += Math.round((after - before) / 8) + table;
     }
     Object.assign(coarse, networks(model, sections, how.dropped, bytes));
+    if (how.weight) coarse.networks = oneWeight(coarse);
+    if (how.frequency) coarse.networks = oneFrequency(coarse);
     return { model: coarse, bytes };
   }
 
@@ -138,29 +140,62 @@
   function networks(model, sections, dropped, bytes) {
     if (dropped === 0) return {};
     const changed = { ...model.networks };
-    const entropy = {};
-    const seen = {}; // tensors of a section so far
-    for (const name of GATES) {
-      const section = SECTION_OF[name] ?? "anchor_mlps";
-      const sums = (entropy[section] ??= [0, 0]);
-      changed[name] = model.networks[name].map((layer) => {
-        const coarse = { ...layer };
-        for (const tensor of ["W", "b"]) {
-          const place = (seen[section] = (seen[section] ?? -1) + 1);
-          const step = stepOf(model.version, sections[section], place, layer[tensor]);
-          const wide = step * 2 ** dropped;
-          coarse[tensor] = layer[tensor].map((w) => roundHalfEven(w / wide) * wide);
-          sums[0] += histogramBits(layer[tensor], step);
-          sums[1] += histogramBits(coarse[tensor], wide);
-        }
-        return coarse;
-      });
-    }
-    for (const [section, [before, after]] of Object.entries(entropy)) {
+    for (const section of ["anchor_mlps", "deformation_mlp"]) {
+      let [place, before, after] = [0, 0, 0]; // of a tensor in the section; bits of all
+      for (const name of p4dgs.NETWORKS[section]) {
+        changed[name] = model.networks[name].map((layer) => {
+          const coarse = { ...layer };
+          for (const tensor of ["W", "b"]) {
+            const step = stepOf(model.version, sections[section], place++, layer[tensor]);
+            const wide = step * 2 ** dropped;
+            coarse[tensor] = layer[tensor].map((w) => roundHalfEven(w / wide) * wide);
+            before += histogramBits(layer[tensor], step);
+            after += histogramBits(coarse[tensor], wide);
+          }
+          return coarse;
+        });
+      }
       const share = before > 0 ? Math.min(after / before, 1) : 1;
       if (bytes[section]) bytes[section] = Math.round(bytes[section] * share);
     }
     return { networks: changed };
+  }
+
+  // --- broken -----------------------------------------------------------------------------------
+  /** The networks with one weight 16 times as large, as if a bit of its exponent were wrong: the
+   *  largest of the first head of psi_d, or of the last layer of psi_c where nothing moves. */
+  function oneWeight({ header, networks }) {
+    const name = networks.psi_d.length ? "psi_d" : "psi_c";
+    const layers = [...networks[name]];
+    const place = name === "psi_d" ? header.deformation.length : layers.length - 1;
+    const W = layers[place].W.slice();
+    const largest = W.reduce((best, w, i) => (Math.abs(w) > Math.abs(W[best]) ? i : best), 0);
+    W[largest] *= 16;
+    layers[place] = { ...layers[place], W };
+    return { ...networks, [name]: layers };
+  }
+
+  /** The networks with a psi_d that sees t itself and sin t, cos t. It gets the means over t of the
+   *  other waves, which the bias of its first layer then holds. Heads without a layer before them
+   *  read the waves, too. */
+  function oneFrequency({ header: { L_x, L_t, deformation }, networks }) {
+    const first = 3 * (1 + 2 * L_x) + 1;
+    const psi_d = networks.psi_d.map((layer, i) => {
+      if (i > 0 && deformation.length > 0) return layer;
+      const [W, b] = [layer.W.slice(), layer.b.slice()];
+      for (let j = 1; j < L_t; j++) {
+        const means = [1 - Math.cos(2 ** j), Math.sin(2 ** j)].map((v) => v / 2 ** j);
+        means.forEach((mean, wave) => {
+          const row = (first + 2 * j + wave) * layer.J;
+          for (let out = 0; out < layer.J; out++) {
+            b[out] += mean * W[row + out];
+            W[row + out] = 0;
+          }
+        });
+      }
+      return { ...layer, W, b };
+    });
+    return { ...networks, psi_d };
   }
 
   /** The step of a tensor's weights. Version 2 stores it; version 1 has floats of 11 bits. */

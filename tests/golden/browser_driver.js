@@ -1,19 +1,14 @@
-// Uses every control of the page and writes what it finds into the document, as JSON in base64.
+// Uses every control of the page in Explore; its value is a promise of what it finds.
 //
-// `browser.js` puts this script behind the page's own, and `checks` before it: a scene's test views
+// `browser.js` runs this script in the page, whose `checks` it has set before: a scene's test views
 // with the package's pictures of them, bad files, good ones of all kinds, one of 5,000 anchors.
-"use strict";
-
 (async function () {
-  const { p4dgs, draw, page, layers, requantise } = globalThis;
+  "use strict";
+  const { p4dgs, draw, page, layers, requantise, checks } = globalThis;
   const $ = (id) => document.getElementById(id);
-  const checks = JSON.parse($("checks").textContent);
   const found = { wrong: [], layers: [] };
   const check = (said, isSo) => isSo || found.wrong.push(said);
   const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  // The browser writes out the document when it is loaded, and this empty frame is loaded last.
-  const frame = document.body.appendChild(document.createElement("iframe")).contentDocument;
-  frame.open();
   const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 
   /** Until the page has drawn what was asked for. */
@@ -23,7 +18,9 @@
   /** Gives a control a value, and waits until the page has drawn it. */
   async function use(id, value) {
     $(id)[typeof value === "boolean" ? "checked" : "value"] = value;
-    for (const name of ["input", "change"]) $(id).dispatchEvent(new Event(name));
+    for (const name of ["input", "change"]) {
+      $(id).dispatchEvent(new Event(name, { bubbles: true }));
+    }
     await drawn();
   }
 
@@ -84,7 +81,7 @@
       found.canvas = Math.max(found.canvas, difference(draw.onProcessor(splats, scene), wanted));
       if (!glass) continue;
       glass.draw(splats, scene);
-      found.webgl = Math.max(found.webgl, difference(glass.pixels(), wanted));
+      found.webgl = Math.max(found.webgl, difference(pixelsOf(glass.canvas), wanted));
     }
     check(`canvas: ${found.canvas} of 255 from the package`, found.canvas <= 1);
     check(`WebGL2: ${found.webgl} of 255 from the package`, found.webgl <= 4);
@@ -94,6 +91,7 @@
    *  median. */
   async function pace(isCanvas, count = 31) {
     await use("canvas-path", isCanvas);
+    await use("size", "256");
     const spent = [];
     for (let i = 0; i < count; i++) {
       $("time").value = String(i / count);
@@ -102,13 +100,15 @@
       if (!$("glass").hidden) pixelsOf($("glass")); // waits until it is drawn
       spent.push(performance.now() - start);
     }
+    await use("size", "512");
     spent.sort((a, b) => a - b);
     return [spent[0], spent[Math.floor(count / 2)]].map(Math.round);
   }
 
   // --- everything a visitor can do --------------------------------------------------------------
   async function controls() {
-    await use("masks", false); // some children are then below tau_alpha
+    await wait(600); // a picture at rest has all its pixels
+    await use("no-masks", true); // some children are then below tau_alpha
     await wait(100);
     for (const name of Object.keys(layers.LAYERS)) {
       const before = pixelsOf($("above"));
@@ -187,14 +187,15 @@
 
   async function coarser() {
     const { length } = page.state.data;
+    await wait(600);
     const before = picture();
-    for (const [id, value] of [["coarser", "2"], ["dropped", "1"], ["masks", false]]) {
+    for (const [id, value] of [["coarser", "2"], ["dropped", "1"], ["no-masks", true]]) {
       await use(id, value);
       await wait(100);
       check(`${id} changes nothing`, page.state.changed && !isSame(before, picture()));
       check(`${id} tells no PSNR`, / dB|no difference/.test($("result").textContent));
     }
-    await use("context", false);
+    await use("no-context", true);
     await wait(100);
     const total = Object.values(page.state.changed.bytes).reduce((a, b) => a + b, 0);
     check(`${total} bytes of ${length}`, total > 0 && total < length);
@@ -202,7 +203,13 @@
     await drawn();
     check("the unchanged file is not shown", isSame(before, picture()));
     $("reset").click();
-    await drawn();
+    for (const id of ["weight", "frequency"]) {
+      await use(id, true);
+      await wait(400);
+      check(`${id} changes nothing`, !isSame(before, picture()));
+      await use(id, false);
+      await wait(400);
+    }
     check("changes stay", page.state.changed === null && isSame(before, picture()));
     const same = requantise.requantise(page.state.model, page.state.sections, {});
     check("no change moves bytes", Object.entries(same.bytes).every(isOwn));
@@ -213,7 +220,7 @@
     await press("Escape");
     const shots = [photograph("The scene")];
     for (const { id } of document.querySelectorAll("#layers input")) {
-      await use("masks", id !== "layer-hidden"); // in the demo only masked children are below
+      await use("no-masks", id === "layer-hidden"); // in the demo only masked children are below
       await wait(100);
       await use(id, true);
       if (id === "layer-grid") await use("anchor", "40");
@@ -298,8 +305,5 @@
   } catch (error) {
     found.wrong.push(String(error.stack));
   }
-  document.body.append(Object.assign(document.createElement("pre"), { id: "found" }));
-  const letters = Array.from(new TextEncoder().encode(JSON.stringify(found)));
-  $("found").textContent = btoa(letters.map((byte) => String.fromCharCode(byte)).join(""));
-  frame.close();
+  return found;
 })();

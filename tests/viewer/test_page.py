@@ -3,13 +3,17 @@
 import base64
 import json
 import re
+import shutil
+import subprocess
 
 import pytest
 
 from p4dgs_ref.report import view
 from tests import ROOT
+from tests.processes import CAPTURED
 
 TUTORIALS = ROOT / "tutorials"
+PAPER = "https://arxiv.org/abs/2510.10030"
 PAGES = sorted((TUTORIALS / "viewer").glob("*.html"))
 
 
@@ -42,4 +46,19 @@ def test_a_page_is_whole_whatever_a_file_is_called():
     files = {"<!--<script>.p4dgs": b"1", "é\u2028.p4dgs": b"2"}
     page = view.page(files).decode()
     assert held(page) == files and "<!--" not in page  # after which no script would end
-    assert not re.search(r"""\bsrc=|@import|\burl\(|fetch\(|https?:""", page)  # all is inside
+    page = page.replace(f'<a href="{PAPER}" ', "<a ")  # a link; nothing else is outside
+    assert not re.search(r"""\bsrc=|@import|\burl\(|fetch\(|https?:""", page)
+
+
+def test_the_scripts_stay_short():
+    texts = [file.read_text(encoding="utf-8") for file in sorted(view.VIEWER.glob("*.js"))]
+    assert sum(len(text.splitlines()) for text in texts) <= 3250
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not all(map(shutil.which, ["node", "chromium"])), reason="no node, no chromium")
+def test_the_guide_leads_through_a_file(tmp_path):
+    """Eight steps in two windows; keys, fingers, links; no motion, no scripts, paper."""
+    script = ROOT / "tests" / "golden" / "browser.js"
+    run = subprocess.run(["node", script, tmp_path, "guide"], **CAPTURED)
+    assert run.returncode == 0, run.stdout + run.stderr

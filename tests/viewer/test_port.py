@@ -55,6 +55,32 @@ const drawn = [0, 1e-13].map((least) => {
 console.log(JSON.stringify(drawn));
 """
 
+# Arguments: the folder and a file. Output: the factors of weights that are changed; how far the
+# mean over t of psi_d's first layer moves where it sees one frequency, and how far the layer does.
+BROKEN = """
+const [p4dgs, { requantise }] = ["p4dgs", "requantise"].map(
+  (name) => require(`${process.argv[1]}/${name}.js`),
+);
+const data = new Uint8Array(require("fs").readFileSync(process.argv[2]));
+const model = p4dgs.decode(data);
+const broken = (how) => requantise(model, p4dgs.openContainer(data).sections, how).model.networks;
+const weights = (networks) => Object.values(networks).flat().flatMap(({ W, b }) => [...W, ...b]);
+const own = weights(model.networks);
+const factors = weights(broken({ weight: true })).map((w, i) => w / own[i]);
+const [first, other] = [model.networks, broken({ frequency: true })].map(({ psi_d }) => psi_d[0]);
+const { L_x, L_t } = model.header;
+const x = p4dgs.positionalEncoding([0.1, 0.2, 0.3], 3, L_x);
+const gaps = Array.from({ length: 1000 }, (_, i) => {
+  const E = Float64Array.from([...x, ...p4dgs.positionalEncoding([(i + 0.5) / 1000], 1, L_t)]);
+  const [was, is] = [first, other].map((layer) => p4dgs.mlp([layer], E, 1));
+  return was.map((v, j) => is[j] - v);
+});
+const mean = gaps[0].map((_, j) => gaps.reduce((sum, gap) => sum + gap[j] / 1000, 0));
+const most = (values) => Math.max(...values.map(Math.abs));
+const changed = factors.filter((factor) => factor !== 1 && !Number.isNaN(factor));
+console.log(JSON.stringify({ changed, mean: most(mean), gap: most(gaps.map(most)) }));
+"""
+
 
 @pytest.fixture(scope="module")
 def port():
@@ -145,3 +171,8 @@ def test_pictures_and_bits_are_those_of_the_package():
     sizes = components(p4.encode(replace(model, design=coarse)))
     for name in ("features", "scales", "offset_scales", "offsets"):
         assert abs(said["coarse"][name] - sizes[name]) <= 3, name
+
+
+def test_one_weight_is_16_times_as_large_and_one_frequency_has_the_mean_of_all():
+    found = json.loads(subprocess.check_output(["node", "-e", BROKEN, VIEWER, DEMO]))
+    assert found["changed"] == [16] and found["mean"] < 1e-6 and found["gap"] > 0.1, found

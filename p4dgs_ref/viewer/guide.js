@@ -1,0 +1,182 @@
+// The guided way through a file, and the link that brings a visitor back to what they saw.
+//
+// Each of the eight steps is an article of page.html, with its text and the state of the picture.
+"use strict";
+
+(function () {
+  const { draw, page } = globalThis;
+  const { state, whole } = page;
+  const $ = (id) => document.getElementById(id);
+  const all = (what) => document.querySelectorAll(what);
+
+  const STEPS = [...all("article")];
+  const EXPLORE = 0; // the step in which all panels are shown
+  const PAUSE = 1800; // milliseconds for which steps q stay as coarse as they are
+
+  let [step, last] = [1, 1]; // and the last one of the guide
+  let coarsening = 0; // a timer
+
+  const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const seen = () => draw.see(state.model, page.cameraOf(state, 64), 0.5);
+
+  // --- what the texts say of the file -----------------------------------------------------------
+  const SEERS = {
+    "": "none does",
+    view_color: "only the one for colours does",
+    view_geometry: "all but the one for colours do",
+    "view_color,view_geometry": "all four do",
+  };
+  const FACTS = {
+    bytes: () => whole(state.data.length),
+    gaussians: () => whole(seen().gaussians.index.length),
+    anchors: ({ header }) => whole(header.anchors),
+    k: ({ header }) => whole(header.k),
+    d: ({ header }) => whole(header.d),
+    seers: ({ header }) => SEERS[header.effects.filter((name) => /^view_/.test(name)).sort()],
+    least: () => page.bits().least.toFixed(0),
+    most: () => page.bits().most.toFixed(0),
+    context: ({ bytes }) => whole(bytes.hash_grid + bytes.context_mlps),
+  };
+
+  const anchors = new WeakMap(); // of each model the one that the steps explain
+
+  /** An anchor whose children are seen and move more than those of others. */
+  function telling({ header }) {
+    const { gaussians, moved } = seen();
+    const [weights, x] = [new Float64Array(header.anchors), gaussians.x];
+    gaussians.index.forEach((child, n) => {
+      const way = Math.hypot(...[0, 1, 2].map((i) => moved.x_t[3 * n + i] - x[3 * n + i]));
+      weights[Math.floor(child / header.k)] += gaussians.alpha[n] * (way + 1e-6);
+    });
+    return weights.indexOf(weights.reduce((a, b) => Math.max(a, b)));
+  }
+
+  // --- steps ------------------------------------------------------------------------------------
+  /** Shows the panels of a step, and its state of the picture; Explore leaves that as it is. */
+  function enter(to) {
+    step = to;
+    last = step || last;
+    clearInterval(coarsening);
+    document.body.dataset.step = String(step);
+    for (const dot of all("#steps [value]")) {
+      dot.setAttribute("aria-current", Number(dot.value) === step ? "step" : "false");
+    }
+    $("to-guide").setAttribute("aria-pressed", String(step !== EXPLORE));
+    $("to-explore").setAttribute("aria-pressed", String(step === EXPLORE));
+    $("previous").disabled = step === 1;
+    $("next").disabled = step === STEPS.length;
+    if (state.model && step !== EXPLORE) arrange(STEPS[step - 1]);
+    state.explained = null; // other panels are shown
+    page.ask();
+    addressSoon();
+  }
+
+  function arrange(article) {
+    const { model } = state;
+    for (const place of article.querySelectorAll("[data-fact]")) {
+      place.textContent = FACTS[place.dataset.fact](model);
+    }
+    const { anchor, playing, turning, coarser, ...rest } = JSON.parse(article.dataset.show);
+    const moves = !isStill();
+    page.arrange({ ...rest, playing: playing && moves, turning: turning && moves });
+    if (anchor && !anchors.has(model)) anchors.set(model, telling(model));
+    if (anchor) page.select(anchors.get(model));
+    if (!coarser) return;
+    let power = moves ? 0 : coarser; // steps q times 2^power, by itself; once if nothing may move
+    const next = () => {
+      $("coarser").value = String(power);
+      power = (power + 1) % (coarser + 1);
+      page.change();
+    };
+    next();
+    if (moves) coarsening = setInterval(next, PAUSE);
+  }
+
+  const go = (by) => enter(Math.min(Math.max(step + by, 1), STEPS.length));
+
+  // --- the link ---------------------------------------------------------------------------------
+  /** The address of what is seen. Behind # it has `step` (1 to 8, or explore), `file` (a number from
+   *  1 on, where the page holds several), `camera` (azimuth and elevation in degrees; distance and
+   *  shift in units of the first distance) and `t`. What it leaves out is as the step sets it: a
+   *  camera that nobody moved, and a time that runs, unless the address is `exact`. */
+  function address({ exact }) {
+    const home = page.homeDistance(state.model);
+    const { azimuth, elevation, distance, shift, isMoved, playing } = state;
+    const view = [azimuth, elevation, ...[distance, ...shift].map((v) => v / home)];
+    const fields = [`step=${step || "explore"}`];
+    const { length, selectedIndex } = $("scene");
+    if (length > 1 && selectedIndex >= 0) fields.push(`file=${selectedIndex + 1}`);
+    if (exact || isMoved) fields.push(`camera=${view.map((v) => Number(v.toFixed(3)))}`);
+    if (exact || !playing) fields.push(`t=${$("time").value}`);
+    return `${location.href.split("#")[0]}#${fields.join("&")}`;
+  }
+
+  /** The address bar follows; the history gets no entry. */
+  const addressSoon = page.later(() => history.replaceState(null, "", address({})), 500);
+
+  async function copy() {
+    try {
+      await navigator.clipboard.writeText(address({ exact: true }));
+      $("copy").textContent = $("scene").selectedIndex < 0 ? "Copied, not your file" : "Copied";
+    } catch {
+      page.play(false); // the address bar then has the time, too
+      $("copy").textContent = "See the address bar";
+    }
+    setTimeout(() => ($("copy").textContent = "Copy link"), 2500);
+  }
+
+  /** `n` if it is a whole number from 1 to `most`, else null. */
+  const choice = (n, most) => (Number.isInteger(n) && n >= 1 && n <= most ? n : null);
+
+  let isFollowed = false; // what the address says, by the scene that is shown
+
+  /** Does what the address says. What is not a value of a field is as if it were left out. */
+  function follow() {
+    const fields = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+    const numbers = (name) => (fields[name] ?? "").split(",").map(Number.parseFloat);
+    const { length, selectedIndex } = $("scene");
+    const file = (choice(numbers("file")[0], length) ?? selectedIndex + 1) - 1;
+    isFollowed = Boolean(state.model) && file === selectedIndex;
+    if (!isFollowed) {
+      $("scene").selectedIndex = file;
+      page.openEmbedded();
+      return;
+    }
+    const isExploring = fields.step === "explore";
+    enter(isExploring ? EXPLORE : (choice(numbers("step")[0], STEPS.length) ?? 1));
+    if (isExploring) page.arrange({ playing: !isStill() });
+    const [azimuth, elevation, ...far] = numbers("camera");
+    const [distance, ...shift] = far.map((v) => v * page.homeDistance(state.model));
+    const isCamera = [azimuth, elevation, ...far].every(Number.isFinite) && shift.length === 3;
+    if (isCamera) page.aim({ azimuth, elevation, distance, shift });
+    const [t] = numbers("t");
+    if (!(t >= 0 && t <= 1)) return;
+    page.play(false);
+    page.setTime(t);
+  }
+
+  // --- controls ---------------------------------------------------------------------------------
+  function keys(event) {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const isOther = event.ctrlKey || event.metaKey || event.altKey || event.shiftKey;
+    const isTaken = event.defaultPrevented || event.target.closest("input, select, .scroll");
+    if (by && !isOther && !isTaken && step !== EXPLORE) go(by);
+  }
+
+  for (const dot of all("#steps [value]")) {
+    dot.addEventListener("click", () => enter(Number(dot.value)));
+  }
+  const calls = { previous: () => go(-1), next: () => go(1), copy };
+  calls["to-guide"] = () => enter(last);
+  calls["to-explore"] = () => enter(EXPLORE);
+  for (const [id, call] of Object.entries(calls)) $(id).addEventListener("click", call);
+  $("coarser").addEventListener("pointerdown", () => clearInterval(coarsening));
+  document.addEventListener("keydown", keys);
+  document.addEventListener("opened", () => (isFollowed ? enter(step) : follow()));
+  document.addEventListener("painted", addressSoon);
+  addEventListener("hashchange", follow);
+  // Files of the project stand beside its own pages alone.
+  const isOurs = location.pathname.includes("/tutorials/viewer/");
+  for (const link of isOurs ? all("[data-link]") : []) link.href = link.dataset.link;
+  follow();
+})();
