@@ -131,8 +131,8 @@
   let isFollowed = false; // what the address says, by the scene that is shown
 
   /** Does what the address says. What is not a value of a field is as if it were left out. */
-  function follow() {
-    const fields = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+  function follow({ newURL = location.href }) {
+    const fields = Object.fromEntries(new URLSearchParams(newURL.split("#")[1]));
     const numbers = (name) => (fields[name] ?? "").split(",").map(Number.parseFloat);
     const { length, selectedIndex } = $("scene");
     const file = (choice(numbers("file")[0], length) ?? selectedIndex + 1) - 1;
@@ -172,11 +172,11 @@
   for (const [id, call] of Object.entries(calls)) $(id).addEventListener("click", call);
   $("coarser").addEventListener("pointerdown", () => clearInterval(coarsening));
   document.addEventListener("keydown", keys);
-  document.addEventListener("opened", () => (isFollowed ? enter(step) : follow()));
+  document.addEventListener("opened", () => (isFollowed ? enter(step) : follow({})));
   document.addEventListener("painted", addressSoon);
   addEventListener("hashchange", follow);
   // Files of the project stand beside its own pages alone.
   const isOurs = location.pathname.includes("/tutorials/viewer/");
   for (const link of isOurs ? all("[data-link]") : []) link.href = link.dataset.link;
-  follow();
+  follow({});
 })();

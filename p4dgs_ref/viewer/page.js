@@ -420,7 +420,6 @@
   };`;
 
   let end = () => {}; // of the decoding that is under way
-  class NoWorker extends Error {}
 
   /** The model in a file. It is decoded beside the page, which goes on meanwhile, until it takes
    *  too long or another file is opened; then the promise is never kept. Where the browser starts
@@ -430,7 +429,7 @@
     try {
       return await inWorker(data);
     } catch (error) {
-      if (error instanceof NoWorker) return p4dgs.decode(data);
+      if (error instanceof DOMException) return p4dgs.decode(data);
       throw error;
     } finally {
       end();
@@ -440,7 +439,7 @@
   const inWorker = (data) =>
     new Promise((resolve, reject) => {
       const port = $("files").nextElementSibling.text; // p4dgs.js, where it is inside of the page
-      if (!port) throw new NoWorker();
+      if (!port) throw new DOMException("the script is beside the page");
       const url = URL.createObjectURL(new Blob([port, DECODE], { type: "text/javascript" }));
       const worker = new Worker(url);
       const late = new Error(`decoding takes more than ${PATIENCE} seconds`);
@@ -454,7 +453,7 @@
       };
       worker.onmessage = ({ data: { model, said } }) =>
         model ? resolve(model) : reject(new Error(said));
-      worker.onerror = () => reject(new NoWorker());
+      worker.onerror = () => reject(new DOMException("no worker"));
       worker.postMessage(data);
     });
 

@@ -47,7 +47,14 @@ async function withBrowser(flags, call) {
   const source = `document.addEventListener("painted", () => (globalThis.first = performance.now()),
     { once: true });
     document.addEventListener("painted", () => (globalThis.painted = (globalThis.painted ?? 0) + 1));
-    globalThis.$ = (id) => document.getElementById(id);`;
+    globalThis.$ = (id) => document.getElementById(id);
+    globalThis.Worker = class extends Worker {
+      constructor(url) {
+        if (location.search === "?none") throw new DOMException("no workers from disk");
+        super(url);
+        globalThis.workers = (globalThis.workers ?? 0) + 1;
+      }
+    };`;
   await browser.send("Page.addScriptToEvaluateOnNewDocument", { source });
   await browser.send("Emulation.setFocusEmulationEnabled", { enabled: true });
   try {
@@ -68,10 +75,12 @@ async function window(browser, [width, height], { theme = "light", isStill = fal
   });
 }
 
-/** Opens a page, until its first picture is drawn. */
-async function show(browser, url) {
+/** Opens a page, until its first picture is drawn; where only its behaviour matters, the pictures
+ *  have few pixels, because a software draws them. */
+async function show(browser, url, pixels = isQuick ? 64 : 512) {
   await browser.go(url);
   await until(browser, "globalThis.first !== undefined", `no picture: ${url}`);
+  await browser.evaluate(`$("size").value = "${pixels}"; page.ask()`);
 }
 
 /** Waits until an expression of the page is true; what is wrong otherwise after some seconds. */
@@ -184,9 +193,12 @@ async function links(browser) {
     check(`a link: ${key} is ${found[key]}`, found[key] === value);
   }
   check(`a link: the shift is ${found.shift}`, Math.abs(found.shift - 0.25) < 1e-9);
-  for (const bad of ["#step=9&camera=1,2&t=7&file=3", "#step=<b>&camera=a,b,c,d,e,f&t=&%", "#x"]) {
-    const { step, playing } = await seen(bad);
-    check(`${bad} leads to step ${step}`, step === "1" && playing);
+  for (const bad of ["step=9&camera=1,2&t=7&file=3", "step=<b>&camera=a,b,c,d,e,f&t=&%", "x"]) {
+    await evaluate(`location.hash = "step=3"`);
+    await until(browser, "document.body.dataset.step === '3'", "step 3 is not reached");
+    await evaluate(`location.hash = ${JSON.stringify(bad)}`);
+    const said = `${bad} does not lead to step 1`;
+    await until(browser, "document.body.dataset.step === '1' && page.state.playing", said);
   }
   const other = await seen("#step=2&file=5", "scenes.html");
   check(`file 5 is ${other.name}`, other.name === "orbit.p4dgs" && other.step === "2");
@@ -249,6 +261,28 @@ async function hands(browser) {
   }
 }
 
+/** Where frames are slow, a picture has fewer pixels while it moves; a worker decodes the file. */
+async function slowness(browser) {
+  const { evaluate } = browser;
+  await window(browser, SIZES[0]);
+  await show(browser, `${ours("demo.html")}#step=2`, 512);
+  check("no worker decodes", (await evaluate("workers")) === 1);
+  await until(browser, "/ 512 px/.test($('corner').textContent)", "not all pixels at rest");
+  await evaluate(`document.addEventListener("painted", () => (page.state.spent = 99));
+    page.play(true)`);
+  await until(browser, "/ 128 px/.test($('corner').textContent)", "slow frames keep their pixels");
+  await evaluate("page.play(false)");
+  await until(browser, "/ 512 px/.test($('corner').textContent)", "pixels stay away");
+  await show(browser, ours("demo.html").concat("?none"));
+  check("a worker", (await evaluate("globalThis.workers")) === undefined);
+  const name = "\u202Efile<b>.p4dgs";
+  await evaluate(`{ const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File(["GIF"], ${JSON.stringify(name)}));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer })); }`);
+  await until(browser, `$("message").querySelector("bdi")?.textContent === ${JSON.stringify(name)}`,
+    "a name is not isolated");
+}
+
 /** Fingers: upright swipes scroll the page, others are the picture's. */
 async function fingers(browser) {
   const { evaluate, send } = browser;
@@ -260,13 +294,12 @@ async function fingers(browser) {
       type,
       touchPoints: points.map(([x, y], id) => ({ x, y, id })),
     });
-  const swipe = async (from, by, count = 8) => {
+  const swipe = async (from, by, count = 5) => {
     await touch("touchStart", ...from);
     for (let i = 1; i <= count; i++) {
       const share = i / count;
       const places = from.map(([x, y], n) => [x + share * by[n][0], y + share * by[n][1]]);
       await touch("touchMove", ...places);
-      await wait(20);
     }
     await wait(200); // a finger that stands still gives the page no momentum
     await touch("touchEnd");
@@ -291,8 +324,9 @@ async function fingers(browser) {
 async function wishes(browser) {
   const { evaluate, send } = browser;
   await window(browser, SIZES[0], { isStill: true });
+  await show(browser, ours("demo.html"));
   for (const [step, coarser] of [[1, "0"], [3, "0"], [5, "4"]]) {
-    await show(browser, `${ours("demo.html")}#step=${step}`);
+    await evaluate(`location.hash = "step=${step}"`);
     await wait(300);
     const still = `!page.state.playing && !page.state.turning &&
       $("coarser").value === "${coarser}"`;
@@ -363,8 +397,10 @@ async function main() {
   mkdirSync(FOLDER, { recursive: true });
   await withBrowser([PATHS.WebGL2], async (browser) => {
     const windows = SIZES.flatMap((size) => THEMES.map((theme) => [size, theme]));
-    for (const i of isQuick ? [0, 5] : windows.keys()) await walk(browser, ...windows[i]);
-    for (const part of [links, hands, fingers, wishes]) await part(browser);
+    for (const [size, theme] of isQuick ? [windows[0], windows[5]] : windows) {
+      await walk(browser, size, theme);
+    }
+    for (const part of [links, hands, slowness, fingers, wishes]) await part(browser);
   });
   if (isQuick) return;
   const known = JSON.stringify(checks());
