@@ -95,9 +95,9 @@
   const go = (by) => enter(Math.min(Math.max(step + by, 1), STEPS.length));
 
   // --- the link ---------------------------------------------------------------------------------
-  /** The address of what is seen. Behind # it has `step` (1 to 8, or explore), `file` (a number from
-   *  1 on, where the page holds several), `camera` (azimuth and elevation in degrees; distance and
-   *  shift in units of the first distance) and `t`. What it leaves out is as the step sets it: a
+  /** The address of what is seen. Behind # it has `step` (1 to 8, or explore), `file` (its number,
+   *  where the page holds several), `camera` (azimuth and elevation in degrees; distance and shift
+   *  in units of the first distance) and `t`. What it leaves out is as the step sets it: a
    *  camera that nobody moved, and a time that runs, unless the address is `exact`. */
   function address({ exact }) {
     const home = page.homeDistance(state.model);

@@ -45,9 +45,8 @@
     1.36 * Math.hypot(...hi.map((v, i) => v - lo[i])) || 1;
 
   function home() {
-    const distance = homeDistance(state.model);
-    const shift = [0, 0, 0];
-    Object.assign(state, { azimuth: 40, elevation: 30, distance, shift, isMoved: false });
+    Object.assign(state, { azimuth: 40, elevation: 30, distance: homeDistance(state.model) });
+    Object.assign(state, { shift: [0, 0, 0], isMoved: false });
     ask();
   }
 
@@ -148,12 +147,16 @@
     ask();
   }
 
-  /** Pixels along a side: fewer while the picture moves and three frames in turn were slow. */
-  function pixels(spent) {
+  /** Pixels along a side: fewer while the picture moves and three frames in turn were slow. If this
+   *  script was quick and they were very slow, WebGL has no graphics card, and the canvas path is
+   *  faster. `interval` is the time since the last frame, or 0. */
+  function pixels(interval) {
     const all = Number($("size").value);
     if (!goesOn() && !atRest) return all;
-    slowFrames = spent > SLOW ? (slowFrames % 3) + 1 : 0;
+    slowFrames = Math.max(state.spent, interval) > SLOW ? (slowFrames % 3) + 1 : 0;
     if (slowFrames === 3) state.fewer = Math.min(2 * state.fewer, MOST_FEWER);
+    const isIdle = interval > 4 * Math.max(state.spent, SLOW);
+    if (slowFrames === 3 && isIdle) $("canvas-path").checked = true;
     return Math.max(Math.round(all / state.fewer), Math.min(all, 64));
   }
 
@@ -194,10 +197,10 @@
   function paint(now) {
     const { model } = state;
     if (!model) return;
-    const interval = before === null ? 0 : now - before; // also what the graphics card takes
+    const interval = before === null ? 0 : now - before;
     advance(now);
     const start = performance.now();
-    const seen = cameraOf(state, pixels(Math.max(state.spent, interval)));
+    const seen = cameraOf(state, pixels(interval));
     const [drawn, t, what] = [current(), time(), $("shown").value];
     const found = draw.see(drawn, seen, t, { canonical: what === "canonical" });
     const isBits = what === "bits";
@@ -340,10 +343,8 @@
   function compare() {
     $("unchanged").disabled = $("reset").disabled = !state.changed;
     $("trio").hidden = !state.changed;
-    if (!state.changed) {
-      $("result").textContent = "Nothing is changed.";
-      return;
-    }
+    $("result").textContent = "Nothing is changed.";
+    if (!state.changed) return;
     const estimate = total(withContainer(state.changed.bytes));
     const [own, now] = [small(state.model), small(state.changed.model)];
     const gap = own.map((v, i) => (i % 4 === 3 ? 255 : 4 * Math.abs(v - now[i])));

@@ -20,10 +20,8 @@ const ROOT = resolve(__dirname, "..", "..");
 const FOLDER = resolve(process.argv[2]);
 const isQuick = process.argv[3] === "guide";
 const DEMO = join(ROOT, "tutorials", "demo.p4dgs");
-const PATHS = {
-  WebGL2: "--enable-unsafe-swiftshader",
-  "no WebGL: canvas path": "--disable-3d-apis",
-};
+const CANVAS = "no WebGL: canvas path";
+const PATHS = { WebGL2: "--enable-unsafe-swiftshader", [CANVAS]: "--disable-3d-apis" };
 const SIZES = [[1280, 800], [1440, 900], [400, 800]];
 const THEMES = ["light", "dark"];
 
@@ -86,7 +84,7 @@ async function show(browser, url, pixels = isQuick ? 64 : 512) {
 /** Waits until an expression of the page is true; what is wrong otherwise after some seconds. */
 async function until(browser, expression, said, seconds = 15) {
   for (let i = 0; i < 20 * seconds; i++) {
-    if (await browser.evaluate(`Boolean(${expression})`)) return;
+    if (await browser.evaluate(`Boolean(${expression})`).catch(() => false)) return;
     await wait(50);
   }
   wrong.push(said);
@@ -395,7 +393,7 @@ function checks() {
 
 async function main() {
   mkdirSync(FOLDER, { recursive: true });
-  await withBrowser([PATHS.WebGL2], async (browser) => {
+  await withBrowser([PATHS[CANVAS]], async (browser) => {
     const windows = SIZES.flatMap((size) => THEMES.map((theme) => [size, theme]));
     for (const [size, theme] of isQuick ? [windows[0], windows[5]] : windows) {
       await walk(browser, size, theme);

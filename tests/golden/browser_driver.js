@@ -187,6 +187,7 @@
 
   async function coarser() {
     const { length } = page.state.data;
+    await use("time", "0.3");
     await wait(600);
     const before = picture();
     for (const [id, value] of [["coarser", "2"], ["dropped", "1"], ["no-masks", true]]) {
