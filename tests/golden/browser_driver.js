@@ -281,6 +281,12 @@
       await use("coarser", "3");
       await wait(100);
       check(`${file} does not open`, page.state.name === file && page.state.changed);
+      for (const dot of document.querySelectorAll("#steps [value]")) {
+        dot.click();
+        await drawn();
+        check(`${file}, step ${dot.value}`, !/undefined|NaN/.test(document.body.innerText));
+      }
+      $("to-explore").click();
     }
     found.good = checks.good.length;
     const huge = { ...page.state.model, header: { ...page.state.model.header, anchors: 2 ** 22 } };
