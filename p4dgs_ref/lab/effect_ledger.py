@@ -190,7 +190,7 @@ def build_names(effect, called_for):
 def collect(tasks, folder):
     """Write effects.csv, the rows that are made, and effects.png; returns the ledger.
 
-    That are the `summaries` with ms_on and ms_off, the times of a step of stage 4, when every
+    These are the `summaries` with ms_on and ms_off, the times of a step of stage 4, when every
     effect takes part, in the two builds that differ in an effect.
     """
     trained = made(tasks)
