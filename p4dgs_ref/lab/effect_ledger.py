@@ -243,7 +243,7 @@ def draw_ledger(path, rows):
         "Work: multiplications of a frame": [
             (row["work_on"], form(row["work_on"])) for row in rows
         ],
-        "Bytes of its weights in the file": [
+        "Bytes of its weights (float16)": [
             (row["bytes_on"], f"{row['bytes_on']:,.0f}") for row in rows
         ],
         "Gain: dB with it, minus without": [

@@ -357,7 +357,7 @@
     const quality = Number.isFinite(found) ? `${found.toFixed(1)} dB` : "no difference";
     $("result").textContent =
       `About ${whole(estimate)} bytes, ${percent(estimate, state.data.length)} of the file. ` +
-      `PSNR of this view against the unchanged file: ${quality}.`;
+      `PSNR of this view at t = ${time().toFixed(2)} against the unchanged file: ${quality}.`;
   }
 
   /** Calls a function at most once within some milliseconds, at their end. */
@@ -371,7 +371,7 @@
     };
   }
 
-  const compareSoon = later(compare, 1000);
+  const compareSoon = later(compare, 500);
 
   // --- one anchor -------------------------------------------------------------------------------
   function select(anchor) {

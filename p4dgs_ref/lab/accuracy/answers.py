@@ -73,7 +73,7 @@ def symbol(of):
         f"ours errs by {stable['bits_error']:.0e} in {stable['ms'] / printed['ms']:.1f} times the "
         "time"
     )
-    axes = dict(xlabel="processor time (ns a symbol)", ylabel="worst error of the bits (relative)")
+    axes = dict(xlabel="processor time (ns)", ylabel="worst error of the bits (relative)")
     return title, shown, {**axes, "joined": False}
 
 
@@ -100,7 +100,7 @@ def training(of):
         point(
             row,
             row["psnr_db"],
-            f"tiny, {row['iterations']:,.0f}" if row["line"] == "tiny" else None,
+            f"{row['iterations']:,.0f}" if row["line"] == "tiny" else None,
             row["value"] == full,
             "seconds",
             each=[one["psnr_db"] for one in groups[row["line"], row["value"]]],
@@ -112,7 +112,7 @@ def training(of):
         f"Half of the iterations: {in_words(PSNR, *lost(PSNR, after, before))}, "
         f"{short(after[0]['seconds'])} s instead of {short(before[0]['seconds'])}"
     )
-    axes = dict(xlabel="training (processor seconds)", ylabel="PSNR (dB)", yscale="linear")
+    axes = dict(xlabel="training (s), by iterations", ylabel="PSNR (dB)", yscale="linear")
     return title, shown, axes
 
 
@@ -188,7 +188,9 @@ def draw_front(path, rows):
         title, shown, settings = panel(of)
         draw_panel(ax, "", [row for row in shown if row["line"] == shown[0]["line"]], settings)
         words = f"↑ {ax.get_ylabel()}  → {ax.get_xlabel()}"
-        ax.set(xlabel="", ylabel="", xmargin=0.4, ymargin=0.35)
+        ax.set(xlabel="", ylabel="", xmargin=0.4, ymargin=0.6)
+        if ax.get_yscale() == "log":
+            readable_ticks(ax.yaxis)
         ax.text(-0.13, 1.36, fill(title, WIDTH), fontweight="bold", transform=ax.transAxes)
         ax.text(-0.13, 1.13, words, color="#505050", fontsize=9.1, transform=ax.transAxes)
         ax.locator_params(axis="y", **{"numticks" if ax.get_yscale() == "log" else "nbins": 3})

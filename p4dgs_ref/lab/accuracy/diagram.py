@@ -46,7 +46,7 @@ def lines(ax, rows, x, y, joined=True):
         for row, loss in zip(points, losses):
             at, above = (row[x], loss), ax.transData
             if np.isnan(loss):
-                at, above = (row[x], 0.97), ax.get_xaxis_transform()
+                at, above = (row[x], 0.92), ax.get_xaxis_transform()
                 ax.plot(*at, "x", color="red", markersize=9, transform=above)
             if row.get("ours"):
                 ax.plot(*at, "*", color=color, markersize=17, transform=above)

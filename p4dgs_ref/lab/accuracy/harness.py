@@ -31,6 +31,7 @@ from ..clock import alternate, clocked
 
 SCENE, SEEDS = "bouncing", 3
 STEPS = 10  # of a training with other kernels, timed together
+IN_A_ROW = 5  # steps of one training, so that its data are in the cache, as while it trains
 # The iterations of a preset that are shortened together with its stages.
 DATES = ("decay_from", "grow_from", "grow_until", "collect_from", "mask_from")
 
@@ -212,15 +213,15 @@ def train_one(training):
 def seconds(runs, iterations):
     """Columns of the processor seconds of trainings, {name: columns} for {name: changes}.
 
-    A step of stage 3 and one of stage 4 of all runs are timed in turn, near their first parameters.
-    Half of the iterations count as the one, half as the other; stages 1 and 2 are short.
+    Some steps of stage 3 and of stage 4 of all runs are timed in turn, near their first parameters.
+    Half of the iterations count as the ones, half as the others; stages 1 and 2 are short.
     """
     pairs, ms_to_seconds = {}, {}
     for name, changes in runs.items():
         scene, preset, options = prepared(changes, iterations)
         steps = [step_at(scene, preset, stage, **options) for stage in (3, 4)]
-        pairs[name] = lambda steps=steps: [step() for step in steps]
-        ms_to_seconds[name] = 1e-3 * preset.iterations / len(steps)
+        pairs[name] = lambda steps=steps: [step() for step in steps for _ in range(IN_A_ROW)]
+        ms_to_seconds[name] = 1e-3 * preset.iterations / len(steps) / IN_A_ROW
     with np.errstate(all="ignore"):
         times = alternate(pairs, 5)
     return {name: times[name].columns("seconds", ms_to_seconds[name]) for name in runs}
