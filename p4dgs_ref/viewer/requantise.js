@@ -1,4 +1,4 @@
-// What every number of a file costs, and the file as it would be with coarser numbers.
+// What every number of a file costs, and the file as it would be with coarser or broken ones.
 //
 // Prices are those of the coder's integer tables: their sum is a section's entropy, which the bytes
 // in the file exceed by a few bytes of the coder's state. An estimate adds the same few bytes.

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: eight studies, each with its diagrams, its tables and a reading."""
+"""What accuracy costs in time: one table of knobs, what measures them, one page of answers."""

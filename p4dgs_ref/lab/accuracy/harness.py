@@ -1,4 +1,4 @@
-"""Short trainings, and the harnesses, which measure the values of a knob and return rows.
+"""Trainings, and the harnesses, which measure the values of a knob and return rows.
 
 A row has the columns line and value, then errors and ms (formulas, kernels), psnr_db, bytes and
 seed (files), or psnr_db, bytes, seed and seconds (training). Times are processor times, taken in
