@@ -76,7 +76,10 @@ def at(rows, level):
 
 @styled()
 def draw_steps(path, found):
-    """Bars of network and Gaussians for every step, and what it makes of the whole file."""
+    """Bytes of network and Gaussians after every step, and what it makes of the whole file.
+
+    They are dots, because the length of a bar means nothing on a logarithmic axis.
+    """
     scenes = [*dict.fromkeys(row["scene"] for row in found)]
     figure, axes = subplots(
         1, len(scenes), figsize=(13, 5), sharey=True, sharex=True, squeeze=False
@@ -87,11 +90,11 @@ def draw_steps(path, found):
             text = "does not reach this PSNR"
             if "bytes" in row:
                 for j, (kind, (_, color)) in enumerate(KINDS.items()):
-                    ax.barh(i + 0.36 * j - 0.18, row[kind], 0.34, color=color)
+                    ax.plot(row[kind], i + 0.24 * j - 0.12, "o", color=color, markersize=9)
                 text = f"{row['bytes']:,.0f} bytes"
                 text += f"\n{change(row['factor'])}" if "factor" in row else ""
             most = max([row.get(kind, 0) for kind in KINDS] + [1000])
-            ax.annotate(text, (most, i), (6, 0), textcoords="offset points", va="center")
+            ax.annotate(text, (most, i), (10, 0), textcoords="offset points", va="center")
         level = LEVELS[scene]
         ax.set(
             xscale="log",
@@ -101,6 +104,7 @@ def draw_steps(path, found):
         )
         ax.set_yticks(range(len(STEPS)), [broken(step) for step in STEPS])
         ax.set_ylim(len(STEPS) - 0.5, -0.5)
+        ax.grid(axis="x", color="#dddddd", linewidth=0.7)
     for y, (name, color) in zip((0.12, 0.05), KINDS.values()):
         axes[0, -1].text(0.98, y, name, color=color, ha="right", transform=axes[0, -1].transAxes)
     save_figure(figure, path)
