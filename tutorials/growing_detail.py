@@ -135,9 +135,9 @@ def scene_of(size):
 # few losses, each a point of the curve. Ours: the design with coded networks, four children an
 # anchor (`tiny_coded`) and single children (`small_coded` with features of 8 numbers and coarse
 # steps of offset scales, which their offsets make nearly redundant), over anchors and price. All
-# have a deformation network of two layers of 64.
-# A squared error that is summed over four times as many pixels may be four times as large for the
-# same PSNR, so the losses grow with the number of pixels.
+# have a deformation network of two layers of 64. A squared error that is summed over four times as
+# many pixels may be four times as large for the same PSNR, so the losses grow with the number of
+# pixels.
 
 # %%
 ITERATIONS, STEPS = 6500, 7
