@@ -32,6 +32,12 @@ GRID = (
     *({"gaussians": n, "sh_degree": d} for n in (200, 400, 800, 1600) for d in (0, 1)),
     {"gaussians": 800, "sh_degree": 3},
 )
+# Half the width of the deformation network, of ours as of the small baseline's.
+NARROW = {"deformation": (32, 32)}
+SINGLE = {"preset": "small_coded", "d": 8}  # single children
+# They need less than their preset has: the deformation network of `tiny`, and coarse offset scales,
+# which their own offsets make nearly redundant (found on held-back views).
+LEAN = {"deformation": (64, 64), "Q_l": 0.1}
 # The points of each method. To add one, add a row; `preset` names another preset to start from.
 # Table 4 is about the first two.
 SIZES = {
@@ -41,17 +47,34 @@ SIZES = {
         {"anchors": 400},
         {"anchors": 400, "lambda_rate": 0.003},
         {"anchors": 800},
+        NARROW,
+        {"anchors": 400, **NARROW},
+        {"anchors": 800, **NARROW},
     ),
     CODED: (
         {"lambda_rate": 0.003},
         {},
         {"anchors": 400},
         {"anchors": 400, "lambda_rate": 0.002},
-        {"preset": "small_coded", "d": 8, "anchors": 700, "lambda_rate": 0.0005},
-        {"preset": "small_coded", "d": 8, "lambda_rate": 0.00025},
+        {**SINGLE, "anchors": 700, "lambda_rate": 0.0005},
+        {**SINGLE, "lambda_rate": 0.00025},
         {"preset": "small_coded"},
+        {"lambda_rate": 0.003, **NARROW},
+        NARROW,
+        *(
+            {**SINGLE, "anchors": anchors, "lambda_rate": price, **LEAN, **width}
+            for anchors, price in ((400, 0.001), (700, 0.0005), (1000, 0.00025))
+            for width in ({}, NARROW)
+        ),
     ),
     **dict.fromkeys(baselines.METHODS, GRID),
+    "d3dgs_small": (
+        *GRID,
+        *(
+            {"gaussians": n, "sh_degree": d, **NARROW}
+            for n, d in ((400, 0), (400, 1), (800, 0), (800, 1), (1600, 0))
+        ),
+    ),
 }
 LENGTHS = 6500, 3800  # iterations; the shorter ones with one seed
 ONE_SEED = ("d3dgs", "hexplane", "gaussian4d")  # far from every envelope

@@ -3,9 +3,9 @@
 In a page, `<!-- from records/curve.csv: label d3dgs; scene figure -->` stands before a table or
 before sentences, up to the next blank line or comment, whose numerals come from the rows with these
 values: entries, means over seeds and scenes with half their range, differences and ratios between
-the named labels. `factors` are those of the bytes of all methods at equal PSNR, and the BD-rates;
-`factors of p4dgs` are against the paper's design instead of ours, and `hundredfold` are the steps
-from the file of D3DGS to ours.
+the named labels. `without text` leaves out the labels that have this text. `factors` are those of
+the bytes of all methods at equal PSNR, and the BD-rates; `factors of p4dgs` are against the paper's
+design instead of ours, and `hundredfold` are the steps from the file of D3DGS to ours.
 """
 
 import re
@@ -59,7 +59,10 @@ def chosen(rows, terms):
     wanted = {}
     for term in terms:
         column, _, value = term.partition(" ")
-        wanted.setdefault(column, set()).add(value)
+        if column == "without":
+            rows = [row for row in rows if value not in row["label"]]
+        else:
+            wanted.setdefault(column, set()).add(value)
     for column, values in wanted.items():
         assert values <= {str(row[column]) for row in rows}, f"no row with {column} {values}"
         rows = [row for row in rows if str(row[column]) in values]
