@@ -152,9 +152,11 @@ def unfound(name, terms, text):
     rows = chosen(records.rows(name), [term for term in terms if not term.startswith(ABOUT_ALL)])
     found, missing = {}, []
     for sentence, labels in sentences(text, [*dict.fromkeys(row["label"] for row in rows)]):
-        allowed = found.setdefault(tuple(labels), numbers(name, terms, rows, labels))
+        about = tuple(labels)
+        if about not in found:
+            found[about] = numbers(name, terms, rows, labels)
         missing += [
-            f"{one} in {sentence!r}" for one in numerals(sentence) if not is_in(one, allowed)
+            f"{one} in {sentence!r}" for one in numerals(sentence) if not is_in(one, found[about])
         ]
     return missing
 
