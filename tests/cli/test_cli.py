@@ -289,7 +289,7 @@ ESTIMATED = {  # iterations, and what is said when the training is stopped
     f"train bouncing -o run {LONG}": (90_000_000, "stopped; if the run folder has"),
     f"demo bouncing -o run {LONG} --set is_coded=true --jobs 1": (180_000_000, "--resume goes on"),
     f"compare scene -o run {WHOLE} --method hexplane": (9 * 90_000_000, "that are done are kept"),
-    f"compare scene -o run --curve {WHOLE} --method hexplane": (45 * 90_000_000, "are kept"),
+    f"compare scene -o run --curve {WHOLE} --method hexplane": (78 * 90_000_000, "are kept"),
     f"ablate scene -o run {WHOLE} --jobs 9": (30 * 90_000_000, "are kept"),
 }
 
