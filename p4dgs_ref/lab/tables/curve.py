@@ -32,7 +32,7 @@ GRID = (
     *({"gaussians": n, "sh_degree": d} for n in (200, 400, 800, 1600) for d in (0, 1)),
     {"gaussians": 800, "sh_degree": 3},
 )
-# Half the width of the deformation network, of ours as of the small baseline's.
+# Deformation networks half as wide as those of the presets, in our designs and in D3DGS.
 NARROW = {"deformation": (32, 32)}
 SINGLE = {"preset": "small_coded", "d": 8}  # single children
 # They need less than their preset has: the deformation network of `tiny`, and coarse offset scales,
