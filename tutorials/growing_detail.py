@@ -39,7 +39,7 @@ from p4dgs_ref import lessons
 from p4dgs_ref.designs import PRESETS, trainer_class
 from p4dgs_ref.lab.baselines import choose, d3dgs
 from p4dgs_ref.lab.clock import clocked
-from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.lab.tables import curve, methods
 from p4dgs_ref.lab.tables.methods import ALIKE, CODED
 from p4dgs_ref.lab.writer import aligned, bytes_at, factors, front, means, twice_standard_error
 from p4dgs_ref.model import LATTICE, declared_numbers
@@ -162,8 +162,7 @@ SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and s
         ((2000, 0.0005), (4000, 0.0005), (8000, 0.0005), (8000, 0.00025)),
     ),
 }
-LEAN = {"d": 8, "deformation": (64, 64), "Q_l": 0.1}
-EXPLICIT, SINGLE = "d3dgs_small", {"preset": "small_coded", **LEAN}
+EXPLICIT, SINGLE = "d3dgs_small", {**curve.SINGLE, **curve.LEAN}
 
 
 def plan():
@@ -245,7 +244,8 @@ def numbers_of_explicit(preset):
 def count():
     """Print the numbers that a Gaussian costs."""
     rows = [("", "numbers", "positions", "numbers of networks")]
-    single = replace(PRESETS["small_coded"], **LEAN)
+    changes = {name: value for name, value in SINGLE.items() if name != "preset"}
+    single = replace(PRESETS[SINGLE["preset"]], **changes)
     for name, preset in (("tiny_coded", PRESETS["tiny_coded"]), ("small_coded, d 8", single)):
         numbers, k, networks = numbers_of_anchor(preset)
         rows.append(
