@@ -71,10 +71,12 @@ def estimate(arguments, trainers, jobs=1):
 
 
 def seconds_of(trainer):
-    """About how long a training takes, judging by its first iterations, which are done."""
-    steps = min(3, trainer.preset.iterations)
-    _, seconds = timed(lambda: [trainer.step() for _ in range(steps)])
-    return seconds / steps * trainer.preset.iterations
+    """About how long a training takes, judging by its first iterations, which are done.
+
+    The median of three leaves out what only the first one does.
+    """
+    iterations = trainer.preset.iterations
+    return np.median([timed(trainer.step)[1] for _ in range(min(3, iterations))]) * iterations
 
 
 def demo(arguments):
