@@ -37,7 +37,7 @@ SWEEP = {  # of the first scene and seed
 PLANS = {  # {record: the Tasks of its rows, in their order, for scenes and a folder of files}
     "curve": curve.plan,
     "ablate": lambda scenes, folder: [
-        task for scene in scenes[:2] for task in ablate.plan(scene, folder, losses=())
+        task for scene in scenes[:2] for task in ablate.plan(scene, folder, iterations=6500)
     ],
     "beyond_networks": lambda scenes, folder: sorted(
         methods.plan(PAIRS, OUR_PRESETS, scenes, folder)
