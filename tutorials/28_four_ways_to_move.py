@@ -701,7 +701,10 @@ assert ratio_of_largest == 4 and 3 < at_33 < 3.3
 #
 # **3. Is the baseline's network fair?** Our tiny file is much smaller than that of D3DGS with its
 # authors' network, but nearly all of the difference is the network. A fair comparison also shows
-# D3DGS with a network of our size; the project's `compare` prints both.
+# D3DGS with a network of our size, and it stores both alike. In the project's record (6,500
+# iterations, three scenes, equal PSNR) this D3DGS needs 6.3 times the bytes of our coded design in
+# float32, but 0.93 times once it is quantised and coded after training, and 0.67 times those of the
+# paper's design, whose networks are then coded, too.
 
 # %%
 N = d3dgs.TINY.gaussians

@@ -96,9 +96,9 @@ def why(figure):
             evaluate.explicit_bytes(MODEL, count),
             10,
             show.PALE,
-            f"{count} Gaussians\nof {evaluate.FLOATS_PER_GAUSSIAN} numbers,\nand a network",
+            f"{count} Gaussians\nof {evaluate.FLOATS_PER_GAUSSIAN} float32 numbers,\nand a network",
         ),
-        (len(DATA), 105, show.SPACE, "the file"),
+        (len(DATA), 105, show.SPACE, "our file, entropy coded"),
     ):
         side = np.sqrt(size)
         left.fill((0, side, side, 0), (0, 0, side, side), color=color)
