@@ -41,9 +41,17 @@ from p4dgs_ref.lab.baselines import choose, d3dgs
 from p4dgs_ref.lab.clock import clocked
 from p4dgs_ref.lab.tables import curve, methods
 from p4dgs_ref.lab.tables.methods import ALIKE, CODED
-from p4dgs_ref.lab.writer import aligned, bytes_at, factors, front, means, twice_standard_error
+from p4dgs_ref.lab.writer import (
+    aligned,
+    best,
+    bytes_at,
+    factors,
+    front,
+    means,
+    twice_standard_error,
+)
 from p4dgs_ref.model import LATTICE, declared_numbers
-from p4dgs_ref.report.figures import BLUE, RED, write_csv
+from p4dgs_ref.report.figures import BLUE, LIGHT_BLUE, RED, write_csv
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.simulator import simulate
 
@@ -297,36 +305,50 @@ def implied():
 
 # %% [markdown]
 # ## The record
+# Ours are read as two curves. Only anchors of four children use the paper's first idea, to predict
+# several neighbours from one feature; single children have its context and rate alone.
 
 # %%
-NAMES = {EXPLICIT: "explicit", CODED: "ours"}
-LABELS = {
-    EXPLICIT: ((8, -14), "left"),
-    CODED: ((-8, 6), "right"),
-}  # places beside a point, in points
+FOUR, ALONE = "four children", "single children"
+KINDS = {  # colour, and the place of the name beside a point of the curve, in points
+    "explicit": (RED, (8, -14), "left"),
+    FOUR: (BLUE, (-8, 6), "right"),
+    ALONE: (LIGHT_BLUE, (-8, 20), "right"),
+}
+
+
+def kind_of(row):
+    """Which of the KINDS a row belongs to."""
+    if row["method"] == EXPLICIT:
+        return "explicit"
+    return ALONE if curve.SINGLE["preset"] in row["label"] else FOUR
 
 
 def read():
-    """The rows of the record; files of explicit Gaussians only as coded alike."""
+    """The rows of the record with their kinds; files of explicit Gaussians only as coded alike."""
     with open(RECORD, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     kept = [row for row in rows if row["method"] == CODED or row["storage"] == ALIKE]
-    columns = ("seed", "bytes", "gaussians", "gaussians_bytes", "psnr_db")
-    return [{**row, **{name: float(row[name]) for name in columns}} for row in kept]
+    columns = ("seed", "bytes", "gaussians", "gaussians_bytes", "psnr_db", "held_back_db")
+    return [
+        {**row, "kind": kind_of(row), **{name: float(row[name]) for name in columns}}
+        for row in kept
+    ]
 
 
 def curves_of(rows):
-    """{method: its points (bytes, PSNR), means over seeds}."""
-    points = means(rows, "label", "method")
+    """{kind: its points (bytes, PSNR)}, means over seeds; the best ones on held-back views."""
+    points = means(rows, "label", "kind")
+    of_kinds = {kind: best([row for row in points if row["kind"] == kind]) for kind in KINDS}
     return {
-        name: [(row["bytes"], row["psnr_db"]) for row in points if row["method"] == name]
-        for name in NAMES
+        kind: [(row["bytes"], row["psnr_db"]) for row in chosen]
+        for kind, chosen in of_kinds.items()
     }
 
 
-def ranges(curves):
+def ranges(explicit, ours):
     """Where ours needs fewer bytes: a list of (from dB, to dB, median factor, ours is smaller)."""
-    fronts = [front(curves[name]) for name in (EXPLICIT, CODED)]
+    fronts = [front(explicit), front(ours)]
     low, high = max(f[0, 1] for f in fronts), min(f[-1, 1] for f in fronts)
     levels = np.linspace(low, high, 400) if high > low else np.zeros(0)
     factor = np.array([np.divide(*(bytes_at(f, psnr) for f in fronts)) for psnr in levels])
@@ -338,10 +360,10 @@ def ranges(curves):
     ]
 
 
-def by_seed(rows):
+def by_seed(rows, kind):
     """A sentence about the median factor: its mean over seeds and twice its standard error."""
     each = [
-        factors(curves[CODED], curves[EXPLICIT])
+        factors(curves[kind], curves["explicit"])
         for seed in dict.fromkeys(row["seed"] for row in rows)
         for curves in [curves_of([row for row in rows if row["seed"] == seed])]
     ]
@@ -355,37 +377,33 @@ def by_seed(rows):
 
 
 def verdict(found):
-    """A sentence about where the curves cross or that they do not."""
+    """A phrase about where the curves cross or that they do not."""
     if not found:
         return "no PSNR that both reach"
-    texts = [
+    return ", ".join(
         f"{'fewer' if ours else 'more'} bytes from {low:.1f} to {high:.1f} dB (factor {factor:.2f})"
         for low, high, factor, ours in found
-    ]
-    return "ours needs " + ", ".join(texts)
+    )
 
 
-def draw(curves, titles):
-    """PSNR over bytes at every size, both curves, with their names on them."""
+def draw(curves):
+    """PSNR over bytes at every size, with the names of the curves on them."""
     figure, axes = lessons.pyplot().subplots(
         1, len(curves), figsize=(4.2 * len(curves), 4.4), squeeze=False, layout="constrained"
     )
-    for ax, (scene, both) in zip(axes[0], curves.items()):
-        for color, (name, points) in zip((RED, BLUE), both.items()):
-            edge, (offset, side) = front(points), LABELS[name]
-            ax.plot(*zip(*points), ".", color=color, alpha=0.4)
+    for ax, (scene, points_of_kinds) in zip(axes[0], curves.items()):
+        for kind, points in points_of_kinds.items():
+            edge, (color, offset, side) = front(points), KINDS[kind]
             ax.semilogx(*edge.T, "o-", color=color)
             ax.annotate(
-                NAMES[name],
+                kind,
                 edge[len(edge) // 2],
                 offset,
                 textcoords="offset points",
                 color=color,
                 ha=side,
             )
-        pixels = scene.partition("_")[2]
-        ax.set(xlabel="bytes, both coded", title=f"{pixels} pixels: {titles[scene]}")
-        ax.title.set_fontsize(11)
+        ax.set(xlabel="bytes, all coded", title=f"{scene.partition('_')[2]} pixels")
         ax.xaxis.set(
             major_locator=LogLocator(subs=(1, 2, 5)),
             major_formatter=EngFormatter(sep=""),
@@ -402,21 +420,19 @@ def show():
     implied()
     if not RECORD.exists():
         return print(f"\nno {RECORD.name} yet; `make` and then `collect` write it")
-    rows, curves, titles = read(), {}, {}
-    print()
+    rows, curves = read(), {}
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
         curves[scene] = curves_of(own)
-        found = ranges(curves[scene])
-        print(f"{scene}: {verdict(found)}")
-        print(f"  {by_seed(own)}")
-        changes = [f"{high:.1f} dB" for _, high, _, _ in found[:-1]]
-        titles[scene] = f"cross at {', '.join(changes)}" if changes else "do not cross"
-        for name in NAMES:
-            of_method = [row for row in own if row["method"] == name]
-            each = np.median([row["gaussians_bytes"] / row["gaussians"] for row in of_method])
-            print(f"  {NAMES[name]}: {each:.1f} bytes a Gaussian without networks (median)")
-    draw(curves, titles)
+        print(f"\n{scene}, ours against explicit Gaussians")
+        for kind in (FOUR, ALONE):
+            print(f"{kind}: {verdict(ranges(curves[scene]['explicit'], curves[scene][kind]))}")
+            print(f"  {by_seed(own, kind)}")
+        for kind in KINDS:
+            of_kind = [row for row in own if row["kind"] == kind]
+            each = np.median([row["gaussians_bytes"] / row["gaussians"] for row in of_kind])
+            print(f"{kind}: {each:.1f} bytes a Gaussian without networks (median)")
+    draw(curves)
 
 
 def main(words):
