@@ -36,14 +36,20 @@ def test_the_record_of_networks_runs_and_its_decision_quotes_the_table(tmp_path)
     assert all(share in decision and gain in decision for share, gain in prices)
 
 
-@pytest.fixture
-def growing(tmp_path, monkeypatch):
-    """The script of growing detail, with one tiny size and folders of its own."""
+def script():
+    """The script of growing detail as a module of its own."""
     spec = importlib.util.spec_from_file_location("growing_detail", FOLDER / "growing_detail.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def growing(tmp_path, monkeypatch):
+    """The same, with one tiny size and folders of its own."""
+    module = script()
     module.ITERATIONS, module.FOLDER = 20, tmp_path / "trainings"
-    module.SIZES = {16: (1, ((20, 0), (40, 1)), ((6, 0.0005),), ((12, 0.0005),))}
+    module.SIZES = {16: (1, ((20, 0), (40, 1, "narrow")), ((6, 0.0005),), ((12, 0.0005),))}
     module.RECORD = tmp_path / "growing_detail.csv"
     monkeypatch.setenv("P4DGS_TUTORIALS_OUT", str(tmp_path))
     return module
@@ -55,23 +61,23 @@ def test_growing_detail_is_made_in_parts_collected_and_drawn(growing, tmp_path, 
     for words in (["mak"], ["make", "1/0"]):
         with pytest.raises(SystemExit, match="expected cost, make, make I/N or collect"):
             growing.main(words)
+    assert [task.changes.get("deformation") for task in growing.plan()[3:5]] == [None, (32, 32)]
     growing.main(["make", "0/2"])
     made = [task.record.exists() for task in growing.plan()]
-    assert made == [True] * 3 + [False] * 3 + [True, False]  # trainings with their coded files
+    assert made == [True] * 4 + [False] * 4 + [True, False]  # trainings with their coded files
     growing.main(["cost"])
     assert "detail_16: 2 trainings" in capsys.readouterr().out
     growing.main(["make", "1/2"])
     growing.main(["collect"])
     rows = list(csv.DictReader(growing.RECORD.read_text(encoding="utf-8").splitlines()))
-    assert [row["storage"] for row in rows] == 2 * ["as stored", "coded alike", "coded alike"] + [
-        "as stored"
-    ] * 2
-    assert len({row["sha256"] for row in rows}) == 8
+    alike = ["coded alike"] * len(growing.LOSSES)
+    assert [row["storage"] for row in rows] == 2 * ["as stored", *alike] + 2 * ["as stored"]
+    assert len({row["sha256"] for row in rows}) == len(rows)
     growing.main([])
     shown = capsys.readouterr().out
-    assert "detail_16, ours against explicit Gaussians" in shown
+    assert "detail_16, times the bytes of ours that explicit Gaussians need" in shown
     for kind in (growing.FOUR, growing.ALONE):
-        assert re.search(rf"^{kind}: (fewer|more|no PSNR)", shown, re.M)
+        assert re.search(rf"^{kind}: (\d+\.\d\d at|no PSNR)", shown, re.M)
     assert (tmp_path / "growing_detail.png").stat().st_size > 5000
 
 
@@ -88,10 +94,11 @@ def test_growing_detail_counts_numbers_and_says_where_curves_cross(growing, caps
     gaussians = [int(n.replace(",", "")) for n in re.findall(r" (\d{3},\d{3}) ", counted)]
     assert len(gaussians) == 3 and max(gaussians) < 1.2 * min(gaussians)
     explicit = [(1000, 28.0), (4000, 32.0)]
-    below, above = growing.ranges(explicit, [(2000, 28.0), (2001, 32.0)])
-    assert below[1] == pytest.approx(30, abs=0.02) and not below[3] and above[3]
-    assert growing.verdict([below, above]).startswith("more bytes from 28.0 to 30.0 dB")
-    assert growing.verdict(growing.ranges(explicit, [(9, 40.0)])).startswith("no PSNR")
+    found = growing.at_levels(explicit, [(2000, 28.7), (2000.01, 31.4)])
+    assert [*found] == [29, 29.5, 30, 30.5, 31]
+    assert [*found.values()] == pytest.approx([4 ** (i / 8) for i in range(-2, 3)], rel=1e-5)
+    assert growing.told(found).startswith("0.71 at 29 dB, 0.84 at 29.5 dB, 1.00 at 30 dB")
+    assert growing.told(growing.at_levels(explicit, [(9, 40.0)])) == "no PSNR that both reach"
     rows = [
         {"kind": kind, "label": f"{kind} {size}", "seed": seed, "bytes": size, "psnr_db": psnr}
         for seed, scale in enumerate((1.0, 1.1, 1.2))
@@ -100,7 +107,7 @@ def test_growing_detail_counts_numbers_and_says_where_curves_cross(growing, caps
     ]
     rows = [{**row, "held_back_db": row["psnr_db"]} for row in rows]
     told = growing.by_seed(rows, growing.FOUR)
-    assert told.startswith("explicit bytes over ours, median: 0.91 ±0.10 over 3")
+    assert told.startswith("median: 0.91 ±0.10 over 3")
     assert growing.by_seed(rows[:4], growing.FOUR) == "one seed: no standard error"
 
 
