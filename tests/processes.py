@@ -59,3 +59,20 @@ def workers(pid, count, word=b"spawn_main"):
         if len(found) == count:
             return found
         time.sleep(0.02)
+
+
+def busy(pids, seconds=0.3):
+    """Wait until processes have used some processor time; returns them.
+
+    A pool that is still starting a worker when another one is killed may end with a traceback of
+    CPython's own thread, or wait for ever: it counts its workers while the start changes them.
+    """
+    while any(spent(pid) < seconds for pid in pids):
+        time.sleep(0.02)
+    return pids
+
+
+def spent(pid):
+    """The processor seconds of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")

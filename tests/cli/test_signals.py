@@ -13,7 +13,7 @@ import pytest
 
 from p4dgs_ref.signals import deferred, handled, interrupt
 from tests import ROOT
-from tests.processes import start, wait_until_gone, workers
+from tests.processes import busy, start, wait_until_gone, workers
 from tests.sampling import few
 
 NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "HUP": signal.SIGHUP}
@@ -150,7 +150,7 @@ KILLED = (
 @pytest.mark.slow
 def test_a_killed_worker_is_one_line(tmp_path):
     process = at_work(STUDY, tmp_path, "out/.p4dgs-part-*")
-    os.kill(workers(process.pid, 2)[0], signal.SIGKILL)
+    os.kill(busy(workers(process.pid, 2))[0], signal.SIGKILL)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1 and "Traceback" not in err
     assert err.endswith(f"\np4dgs-ref: {KILLED}{SAID['compare']}\n")
