@@ -36,10 +36,14 @@ def start(*options, cwd=ASIDE):
 def alive(pid):
     """Whether a process runs; one that has ended, but that nobody has looked at since, does not."""
     try:
-        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0]
+        return fields(pid)[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
         return False
-    return state != "Z"
+
+
+def fields(pid):
+    """What the system says of a process, from its state on."""
+    return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
 
 
 def wait_until_gone(pids, seconds=5.0):
@@ -74,5 +78,4 @@ def busy(pids, seconds=0.3):
 
 def spent(pid):
     """The processor seconds of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
-    return sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+    return sum(map(int, fields(pid)[11:13])) / os.sysconf("SC_CLK_TCK")

@@ -39,7 +39,7 @@ from p4dgs_ref import lessons
 from p4dgs_ref.designs import PRESETS, trainer_class
 from p4dgs_ref.lab.baselines import choose, d3dgs
 from p4dgs_ref.lab.clock import clocked
-from p4dgs_ref.lab.tables import curve, methods
+from p4dgs_ref.lab.tables import curve, hundredfold, methods
 from p4dgs_ref.lab.tables.methods import ALIKE, CODED
 from p4dgs_ref.lab.writer import (
     aligned,
@@ -341,7 +341,7 @@ def kind_of(row):
     """Which of the KINDS a row belongs to."""
     if row["method"] == EXPLICIT:
         return "explicit"
-    return ALONE if curve.SINGLE["preset"] in row["label"] else FOUR
+    return ALONE if hundredfold.SINGLE in row["label"] else FOUR
 
 
 def read():

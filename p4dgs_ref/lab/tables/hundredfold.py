@@ -14,16 +14,16 @@ from ..writer import best, bytes_at, front, points_of, text_table
 from .methods import ALIKE, AS_STORED, CODED, HALF, OURS
 
 LEVELS = {"figure": 34.8, "glossy": 36.0}  # dB, which every step reaches
-STEPS = {  # the method and storage of each step
-    "D3DGS: its authors' network, float32": ("d3dgs", AS_STORED),
-    "a network of our size": ("d3dgs_small", AS_STORED),
-    "float16": ("d3dgs_small", HALF),
-    "quantised and entropy coded": ("d3dgs_small", ALIKE),
-    "prediction, context and rate: the paper's design": (OURS, ALIKE),
-    "coded networks and positions: ours, four children": (CODED, AS_STORED),
-    "single children where they are better: ours": (CODED, AS_STORED),
+SINGLE = "preset=small_coded"  # in the labels of designs with single children
+STEPS = {  # of each step the method, its storage, and what its labels must not have
+    "D3DGS: its authors' network, float32": ("d3dgs", AS_STORED, None),
+    "a network of our size": ("d3dgs_small", AS_STORED, None),
+    "float16": ("d3dgs_small", HALF, None),
+    "quantised and entropy coded": ("d3dgs_small", ALIKE, None),
+    "prediction, context and rate: the paper's design": (OURS, ALIKE, None),
+    "coded networks and positions: ours, four children": (CODED, AS_STORED, SINGLE),
+    "single children where they are better: ours": (CODED, AS_STORED, None),
 }
-FOUR, SINGLE = [*STEPS][-2], "preset=small_coded"  # SINGLE is in the labels of single children
 KINDS = {"network_bytes": ("network", BLUE), "gaussians_bytes": ("Gaussians, anchors", ORANGE)}
 COLUMNS = {
     "scene": "{scene}, {psnr_db:g} dB",
@@ -45,12 +45,12 @@ def steps(rows):
     found = []
     for scene in LEVELS:
         own, before = [row for row in rows if row["scene"] == scene], None
-        for step, form in STEPS.items() if own else ():
+        for step, (method, storage, without) in STEPS.items() if own else ():
             chosen = [
                 row
                 for row in own
-                if (row["method"], row["storage"]) == form
-                and not (step == FOUR and SINGLE in row["label"])
+                if (row["method"], row["storage"]) == (method, storage)
+                and not (without and without in row["label"])
             ]
             found.append({"scene": scene, "psnr_db": LEVELS[scene], "step": step})
             found[-1] |= sizes_at(chosen, LEVELS[scene])
