@@ -12,7 +12,8 @@
 #     python tutorials/growing_detail.py collect     write tutorials/records/growing_detail.csv
 #     python tutorials/growing_detail.py             count numbers, read this record, draw it
 #
-# Trainings lie in `report/growing_detail`, so what was stopped goes on there.
+# Trainings lie in `report/growing_detail`, so what was stopped goes on there. What the record has
+# is not made again.
 #
 # **Files:** [simulator](../p4dgs_ref/scenes/simulator/__init__.py) (the scenes),
 # [methods.py](../p4dgs_ref/lab/tables/methods.py) (one training and its files),
@@ -24,7 +25,6 @@ import p4dgs_ref
 p4dgs_ref.prepare()  # the same numbers everywhere; before NumPy is imported
 
 # %%
-import csv
 import os
 import re
 import shutil
@@ -47,7 +47,9 @@ from p4dgs_ref.lab.writer import (
     bytes_at,
     factors,
     front,
+    grouped,
     means,
+    read_csv,
     twice_standard_error,
 )
 from p4dgs_ref.model import LATTICE, declared_numbers
@@ -57,6 +59,7 @@ from p4dgs_ref.scenes.simulator import simulate
 
 FOLDER = Path("report/growing_detail")
 RECORD = Path(__file__).parent / "records" / "growing_detail.csv"
+COMMAND = "python tutorials/growing_detail.py make"  # of its rows
 
 # %% [markdown]
 # ## The scenes
@@ -142,10 +145,10 @@ def scene_of(size):
 # Explicit: D3DGS with a deformation network of our size, stored *coded alike* after training with a
 # few losses, each a point of the curve. Ours: the design with coded networks, four children an
 # anchor (`tiny_coded`) and single children (`small_coded` with features of 8 numbers and coarse
-# steps of offset scales, which their offsets make nearly redundant), over anchors and price. Their
-# deformation networks have two layers of 64, or of 32 in the points that are called narrow. A
-# squared error that is summed over four times as many pixels may be four times as large for the
-# same PSNR, so the losses grow with the number of pixels.
+# steps of offset scales, which their offsets make nearly redundant), over anchors and price. The
+# deformation networks of both sides have two layers of 64, as in `tiny`, or of 32 where networks
+# are a large part of a file. A squared error that is summed over four times as many pixels may be
+# four times as large for the same PSNR, so the losses grow with the number of pixels.
 
 # %%
 ITERATIONS, STEPS = 6500, 7
@@ -153,36 +156,25 @@ LOSSES = (4e-4, 1.6e-3, 6.4e-3)  # at SMALLEST pixels
 SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and single children
     64: (
         3,
-        (
-            *((500, 0), (1000, 0), (1000, 1), (2000, 0), (2000, 1), (4000, 0)),
-            *((1000, 0, "narrow"), (2000, 0, "narrow")),
-        ),
-        ((200, 0.0005), (400, 0.0005), (800, 0.0005), (400, 0.002), (400, 0.0005, "narrow")),
-        (
-            *((500, 0.0005), (1000, 0.0005), (2000, 0.0005), (1000, 0.002), (2000, 0.002)),
-            *((1000, 0.0005, "narrow"), (2000, 0.0005, "narrow")),
-        ),
+        ((500, 0), (1000, 0), (1000, 1), (2000, 0), (4000, 0), (1000, 0, "narrow")),
+        ((200, 0.0005), (400, 0.0005), (800, 0.002), (400, 0.0005, "narrow")),
+        ((500, 0.0005), (1000, 0.0005), (2000, 0.0005), (1000, 0.0005, "narrow")),
     ),
     128: (
         3,
-        (
-            *((500, 0), (1000, 0), (1000, 1), (2000, 0), (4000, 0), (4000, 1), (8000, 0)),
-            *((1000, 0, "narrow"), (2000, 0, "narrow")),
-        ),
-        ((400, 0.0005), (800, 0.0005), (1600, 0.0005), (800, 0.002), (800, 0.0005, "narrow")),
-        (
-            *((500, 0.0005), (1000, 0.0005), (2000, 0.0005), (4000, 0.0005), (2000, 0.002)),
-            *((4000, 0.002), (1000, 0.0005, "narrow"), (2000, 0.0005, "narrow")),
-        ),
+        ((1000, 0), (2000, 0), (2000, 1), (4000, 0)),
+        ((400, 0.0005), (800, 0.0005), (1600, 0.002)),
+        ((1000, 0.0005), (2000, 0.0005), (4000, 0.0005)),
     ),
     256: (
         1,
-        ((1000, 0), (2000, 0), (4000, 0), (8000, 0)),
-        ((800, 0.0005), (1600, 0.0005), (3200, 0.0005), (1600, 0.002)),
-        ((1000, 0.0005), (2000, 0.0005), (4000, 0.0005), (2000, 0.002)),
+        ((2000, 0), (4000, 0), (8000, 0)),
+        ((800, 0.0005), (1600, 0.0005), (3200, 0.002)),
+        ((2000, 0.0005), (4000, 0.0005)),
     ),
 }
-EXPLICIT, SINGLE = "d3dgs_small", {**curve.SINGLE, **curve.LEAN}
+EXPLICIT = "d3dgs_small"
+SINGLE = {**curve.SINGLE, **curve.LEAN}
 
 
 def changed(names, points, base=None):
@@ -209,13 +201,19 @@ def plan():
     return sorted(tasks, key=lambda task: task.seed)
 
 
+def kept():
+    """The rows of the record by their files, so that no machine makes them again."""
+    rows = read_csv(RECORD) if RECORD.exists() else []
+    return {row["file"]: row for row in rows if row["iterations"] == ITERATIONS}
+
+
 def say(line):
     """Print a line at once."""
     print(line, flush=True)
 
 
 def cost(tasks):
-    """Print the processor hours of the missing trainings, judging by the first STEPS."""
+    """Print the processor hours of trainings that are not there, judging by the first STEPS."""
     missing = {
         task.trained.path: task.trained for task in tasks if not task.trained.record.exists()
     }
@@ -229,9 +227,11 @@ def cost(tasks):
 
 
 def collect(tasks):
-    """Write the record."""
-    command = "python tutorials/growing_detail.py make"
-    write_csv(RECORD, [{**row, "command": command} for row in methods.made(tasks)])
+    """Write the record with the rows that it lacks and that are there now."""
+    rows = kept()
+    made = methods.made([task for task in tasks if task.path.name not in rows])
+    rows |= {row["file"]: {**row, "command": COMMAND} for row in made}
+    write_csv(RECORD, [rows[task.path.name] for task in tasks if task.path.name in rows])
 
 
 # %% [markdown]
@@ -272,15 +272,16 @@ def numbers_of_explicit(preset):
 def count():
     """Print the numbers that a Gaussian costs."""
     rows = [("", "numbers", "positions", "numbers of networks")]
-    changes = {name: value for name, value in SINGLE.items() if name != "preset"}
-    single = replace(PRESETS[SINGLE["preset"]], **changes)
-    for name, preset in (("tiny_coded", PRESETS["tiny_coded"]), ("small_coded, d 8", single)):
-        numbers, k, networks = numbers_of_anchor(preset)
+    for changes in ({}, SINGLE):
+        fields = {"preset": "tiny_coded", **changes}
+        name = fields.pop("preset")
+        numbers, k, networks = numbers_of_anchor(replace(PRESETS[name], **fields))
         rows.append(
             (f"{name}, a child of {k}", f"{numbers / k:.1f}", f"{1 / k:.2f}", f"{networks:,}")
         )
     for degree in range(4):
-        own, networks = numbers_of_explicit(choose(EXPLICIT, changes={"sh_degree": degree}))
+        preset = choose(EXPLICIT, changes={"sh_degree": degree})
+        own, networks = numbers_of_explicit(preset)
         rows.append((f"explicit, degree {degree}", f"{own:.1f}", "1.00", f"{networks:,}"))
     print("\n".join(aligned(rows)))
 
@@ -344,16 +345,10 @@ def kind_of(row):
     return ALONE if hundredfold.SINGLE in row["label"] else FOUR
 
 
-def read():
-    """The rows of the record with their kinds; files of explicit Gaussians only as coded alike."""
-    with open(RECORD, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    kept = [row for row in rows if row["method"] == CODED or row["storage"] == ALIKE]
-    columns = ("seed", "bytes", "gaussians", "gaussians_bytes", "psnr_db", "held_back_db")
-    return [
-        {**row, "kind": kind_of(row), **{name: float(row[name]) for name in columns}}
-        for row in kept
-    ]
+def with_kinds(rows):
+    """The rows of a record with their kinds; files of explicit Gaussians only as coded alike."""
+    coded = [row for row in rows if row["method"] == CODED or row["storage"] == ALIKE]
+    return [{**row, "kind": kind_of(row)} for row in coded]
 
 
 def curves_of(rows):
@@ -368,32 +363,53 @@ def curves_of(rows):
 
 def at_levels(explicit, ours):
     """{PSNR: times the bytes of ours that explicit files need}, at every half dB both reach."""
+    if not explicit or not ours:
+        return {}
     fronts = [front(explicit), front(ours)]
     low, high = max(f[0, 1] for f in fronts), min(f[-1, 1] for f in fronts)
     levels = np.arange(np.ceil(2 * low), np.floor(2 * high) + 1) / 2
     return {psnr: np.divide(*(bytes_at(f, psnr) for f in fronts)) for psnr in levels}
 
 
-def by_seed(rows, kind):
-    """A sentence about the median factor: its mean over seeds and twice its standard error."""
+def median_by_seed(rows, kind):
+    """The median factor of each seed: their mean, twice its standard error, how many they are."""
     each = [
         factors(curves[kind], curves["explicit"])
         for seed in dict.fromkeys(row["seed"] for row in rows)
         for curves in [curves_of([row for row in rows if row["seed"] == seed])]
     ]
     medians = [found["median"] for found in each if found]
-    if len(medians) < 2:
-        return "one seed: no standard error"
-    mean, error = np.mean(medians), twice_standard_error(medians)
-    tells = "" if abs(mean - 1) > error else ", which cannot tell which is smaller"
-    spread = f"{mean:.2f} ±{error:.2f} over {len(medians)} seeds"
-    return f"median: {spread}{tells}"
+    return np.mean(medians or np.nan), twice_standard_error(medians), len(medians)
 
 
-def told(found):
-    """The factors at some PSNRs as a phrase; where they pass 1, the curves cross."""
-    phrases = [f"{factor:.2f} at {psnr:g} dB" for psnr, factor in found.items()]
-    return ", ".join(phrases) or "no PSNR that both reach"
+def summaries(rows):
+    """What is said about each scene and kind: bytes of a Gaussian, and factors of ours."""
+    found = []
+    for (scene, kind), own in grouped(rows, "scene", "kind").items():
+        of_scene = [row for row in rows if row["scene"] == scene]
+        curves = curves_of(of_scene)
+        each = [row["gaussians_bytes"] / row["gaussians"] for row in own]
+        found.append({"scene": scene, "kind": kind, "each": float(np.median(each))})
+        if kind != "explicit":
+            found[-1]["factors"] = at_levels(curves["explicit"], curves[kind])
+            names = ("median", "error", "seeds")
+            found[-1] |= dict(zip(names, median_by_seed(of_scene, kind)))
+    return found
+
+
+def told(row):
+    """A row of `summaries` in words; where factors pass 1, the curves cross."""
+    lines = [f"{row['kind']}: {row['each']:.1f} bytes a Gaussian without networks (median)"]
+    if "factors" in row:
+        phrases = [f"{factor:.2f} at {psnr:g} dB" for psnr, factor in row["factors"].items()]
+        lines.append(f"  {', '.join(phrases) or 'no PSNR that both reach'}")
+    if row.get("seeds", 0) > 1:
+        is_clear = abs(row["median"] - 1) > row["error"]
+        spread = f"{row['median']:.2f} ±{row['error']:.2f} over {row['seeds']} seeds"
+        lines.append(
+            f"  median {spread}{'' if is_clear else ', which cannot tell who needs fewer'}"
+        )
+    return "\n".join(lines)
 
 
 def draw(curves):
@@ -402,8 +418,8 @@ def draw(curves):
         1, len(curves), figsize=(4.2 * len(curves), 4.4), squeeze=False, layout="constrained"
     )
     for ax, (scene, points_of_kinds) in zip(axes[0], curves.items()):
-        for kind, points in points_of_kinds.items():
-            edge, (color, offset, side) = front(points), KINDS[kind]
+        for kind in filter(points_of_kinds.get, KINDS):  # those that have points
+            edge, (color, offset, side) = front(points_of_kinds[kind]), KINDS[kind]
             ax.semilogx(*edge.T, "o-", color=color)
             ax.annotate(
                 kind,
@@ -430,19 +446,12 @@ def show():
     implied()
     if not RECORD.exists():
         return print(f"\nno {RECORD.name} yet; `make` and then `collect` write it")
-    rows, curves = read(), {}
-    for scene in dict.fromkeys(row["scene"] for row in rows):
-        own = [row for row in rows if row["scene"] == scene]
-        curves[scene] = curves_of(own)
-        print(f"\n{scene}, times the bytes of ours that explicit Gaussians need")
-        for kind in (FOUR, ALONE):
-            print(f"{kind}: {told(at_levels(curves[scene]['explicit'], curves[scene][kind]))}")
-            print(f"  {by_seed(own, kind)}")
-        for kind in KINDS:
-            of_kind = [row for row in own if row["kind"] == kind]
-            each = np.median([row["gaussians_bytes"] / row["gaussians"] for row in of_kind])
-            print(f"{kind}: {each:.1f} bytes a Gaussian without networks (median)")
-    draw(curves)
+    rows = with_kinds(kept().values())
+    for row in summaries(rows):
+        if row["kind"] == "explicit":
+            print(f"\n{row['scene']}, times the bytes of ours that explicit Gaussians need")
+        print(told(row))
+    draw({scene: curves_of(own) for (scene,), own in grouped(rows, "scene").items()})
 
 
 def main(words):
@@ -452,9 +461,14 @@ def main(words):
     word, part = (*words, "0/1")[:2]
     if word not in ("cost", "make", "collect") or not re.fullmatch(r"\d+/[1-9]\d*", part):
         sys.exit(f"{' '.join(words)}: expected cost, make, make I/N or collect")
-    if word == "make":
-        return methods.make_missing(methods.part_of(plan(), *map(int, part.split("/"))), say)
-    {"cost": cost, "collect": collect}[word](plan())
+    tasks = plan()
+    if word == "collect":
+        return collect(tasks)
+    there = kept()
+    missing = [task for task in tasks if task.path.name not in there]
+    if word == "cost":
+        return cost(missing)
+    methods.make_missing(methods.part_of(missing, *map(int, part.split("/"))), say)
 
 
 # %%

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.tutorials.tutorial_form import flaws
@@ -73,11 +74,17 @@ def test_growing_detail_is_made_in_parts_collected_and_drawn(growing, tmp_path, 
     alike = ["coded alike"] * len(growing.LOSSES)
     assert [row["storage"] for row in rows] == 2 * ["as stored", *alike] + 2 * ["as stored"]
     assert len({row["sha256"] for row in rows}) == len(rows)
+    before = growing.RECORD.read_bytes()
+    growing.FOLDER = tmp_path / "another machine"  # makes nothing that the record has
+    for word in ("make", "collect"):
+        growing.main([word])
+    assert growing.RECORD.read_bytes() == before and not [*growing.FOLDER.glob("points*")]
+    capsys.readouterr()
     growing.main([])
     shown = capsys.readouterr().out
     assert "detail_16, times the bytes of ours that explicit Gaussians need" in shown
     for kind in (growing.FOUR, growing.ALONE):
-        assert re.search(rf"^{kind}: (\d+\.\d\d at|no PSNR)", shown, re.M)
+        assert re.search(rf"^{kind}: \d.*\n  (\d+\.\d\d at|no PSNR)", shown, re.M)
     assert (tmp_path / "growing_detail.png").stat().st_size > 5000
 
 
@@ -86,7 +93,7 @@ def test_growing_detail_counts_numbers_and_says_where_curves_cross(growing, caps
     growing.implied()
     counted = capsys.readouterr().out
     text = (FOLDER / "growing_detail.py").read_text(encoding="utf-8")
-    for line in ("tiny_coded, a child of 4 8.5 0.25", "small_coded, d 8, a child of 1 17.0 1.00"):
+    for line in ("tiny_coded, a child of 4 8.5 0.25", "small_coded, a child of 1 17.0 1.00"):
         assert line in " ".join(counted.split())
     for name, numbers in (("degree 0", "11.0"), ("degree 1", "20.0"), ("degree 3", "56.0")):
         assert f"explicit, {name} {numbers} 1.00" in " ".join(counted.split())
@@ -97,18 +104,26 @@ def test_growing_detail_counts_numbers_and_says_where_curves_cross(growing, caps
     found = growing.at_levels(explicit, [(2000, 28.7), (2000.01, 31.4)])
     assert [*found] == [29, 29.5, 30, 30.5, 31]
     assert [*found.values()] == pytest.approx([4 ** (i / 8) for i in range(-2, 3)], rel=1e-5)
-    assert growing.told(found).startswith("0.71 at 29 dB, 0.84 at 29.5 dB, 1.00 at 30 dB")
-    assert growing.told(growing.at_levels(explicit, [(9, 40.0)])) == "no PSNR that both reach"
+    row = {"kind": growing.FOUR, "each": 1.0, "factors": found}
+    assert "\n  0.71 at 29 dB, 0.84 at 29.5 dB, 1.00 at 30 dB" in growing.told(row)
+    row["factors"] = growing.at_levels(explicit, [(9, 40.0)])
+    assert growing.told(row).endswith("\n  no PSNR that both reach")
     rows = [
-        {"kind": kind, "label": f"{kind} {size}", "seed": seed, "bytes": size, "psnr_db": psnr}
+        {"kind": kind, "label": f"{kind} {psnr}", "seed": seed, "bytes": size, "psnr_db": psnr}
         for seed, scale in enumerate((1.0, 1.1, 1.2))
         for kind in ("explicit", growing.FOUR)
         for size, psnr in ((s * scale if kind == growing.FOUR else s, p) for s, p in explicit)
     ]
     rows = [{**row, "held_back_db": row["psnr_db"]} for row in rows]
-    told = growing.by_seed(rows, growing.FOUR)
-    assert told.startswith("median: 0.91 ±0.10 over 3")
-    assert growing.by_seed(rows[:4], growing.FOUR) == "one seed: no standard error"
+    more = {"scene": "detail", "gaussians": 10, "gaussians_bytes": 50}
+    of_explicit, four = growing.summaries([{**row, **more} for row in rows])
+    assert "factors" not in of_explicit
+    assert "  0.91 at 28 dB" in growing.told(four)
+    assert growing.told(four).endswith(
+        "median 0.91 ±0.10 over 3 seeds, which cannot tell who needs fewer"
+    )
+    assert growing.told({**four, "error": 0.05}).endswith("median 0.91 ±0.05 over 3 seeds")
+    assert growing.median_by_seed(rows[:4], growing.FOUR)[1:] == (np.inf, 1)
 
 
 def test_growing_detail_draws_the_points_that_are_best_on_held_back_views(growing):
