@@ -377,6 +377,7 @@ def median_by_seed(rows, kind):
         factors(curves[kind], curves["explicit"])
         for seed in dict.fromkeys(row["seed"] for row in rows)
         for curves in [curves_of([row for row in rows if row["seed"] == seed])]
+        if curves[kind] and curves["explicit"]
     ]
     medians = [found["median"] for found in each if found]
     return np.mean(medians or np.nan), twice_standard_error(medians), len(medians)
