@@ -37,6 +37,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from p4dgs_ref import lessons
 from p4dgs_ref.designs import PRESETS, trainer_class
+from p4dgs_ref.lab.accuracy.diagram import place_labels
 from p4dgs_ref.lab.baselines import choose, d3dgs
 from p4dgs_ref.lab.clock import clocked
 from p4dgs_ref.lab.tables import curve, hundredfold, methods
@@ -55,7 +56,9 @@ from p4dgs_ref.lab.writer import (
 from p4dgs_ref.model import LATTICE, declared_numbers
 from p4dgs_ref.report.figures import BLUE, LIGHT_BLUE, RED, write_csv
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.simulator import simulate
+from p4dgs_ref.scenes.simulator import place_cameras, simulate
+from p4dgs_ref.scenes.simulator.description import read_description
+from p4dgs_ref.scenes.simulator.trace import trace
 
 FOLDER = Path("report/growing_detail")
 RECORD = Path(__file__).parent / "records" / "growing_detail.csv"
@@ -331,11 +334,7 @@ def implied():
 
 # %%
 FOUR, ALONE = "four children", "single children"
-KINDS = {  # colour, and the place of the name beside a point of the curve, in points
-    "explicit": (RED, (8, -14), "left"),
-    FOUR: (BLUE, (-8, 6), "right"),
-    ALONE: (LIGHT_BLUE, (-8, 20), "right"),
-}
+KINDS = {"explicit": RED, FOUR: BLUE, ALONE: LIGHT_BLUE}  # and their colours
 
 
 def kind_of(row):
@@ -413,30 +412,42 @@ def told(row):
     return "\n".join(lines)
 
 
+def picture(size):
+    """The first test view of the scene of a size."""
+    description = read_description(described(size))
+    return trace(description, *place_cameras(description, "test")[0])
+
+
 def draw(curves):
-    """PSNR over bytes at every size, with the names of the curves on them."""
-    figure, axes = lessons.pyplot().subplots(
-        1, len(curves), figsize=(4.2 * len(curves), 4.4), squeeze=False, layout="constrained"
+    """A view of every size, and PSNR over bytes there with the names of the curves on them."""
+    figure, (views, axes) = lessons.pyplot().subplots(
+        2,
+        len(curves),
+        figsize=(4.2 * len(curves), 7),
+        squeeze=False,
+        layout="constrained",
+        height_ratios=(2, 3),
     )
-    for ax, (scene, points_of_kinds) in zip(axes[0], curves.items()):
+    for view, ax, (scene, points_of_kinds) in zip(views, axes, curves.items()):
+        size = int(scene.partition("_")[2])
+        view.imshow(picture(size))
+        view.set_axis_off()
+        view.set_title(f"{size} pixels")
         for kind in filter(points_of_kinds.get, KINDS):  # those that have points
-            edge, (color, offset, side) = front(points_of_kinds[kind]), KINDS[kind]
+            edge, color = front(points_of_kinds[kind]), KINDS[kind]
             ax.semilogx(*edge.T, "o-", color=color)
             ax.annotate(
-                kind,
-                edge[len(edge) // 2],
-                offset,
-                textcoords="offset points",
-                color=color,
-                ha=side,
+                kind, edge[len(edge) // 2], (8, -14), textcoords="offset points", color=color
             )
-        ax.set(xlabel="bytes, all coded", title=f"{scene.partition('_')[2]} pixels")
+        ax.margins(0.12)
+        ax.set_xlabel("bytes, all coded")
         ax.xaxis.set(
             major_locator=LogLocator(subs=(1, 2, 5)),
             major_formatter=EngFormatter(sep=""),
             minor_formatter=NullFormatter(),
         )
-    axes[0, 0].set_ylabel("PSNR of the test views (dB)")
+    axes[0].set_ylabel("PSNR of the test views (dB)")
+    place_labels(figure)
     lessons.show(figure, "growing_detail")
 
 
