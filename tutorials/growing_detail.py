@@ -145,17 +145,18 @@ def scene_of(size):
 
 # %% [markdown]
 # ## The trainings
-# Explicit: D3DGS with a deformation network of our size, stored *coded alike* after training with a
-# few losses, each a point of the curve. Ours: the design with coded networks, four children an
-# anchor (`tiny_coded`) and single children (`small_coded` with features of 8 numbers and coarse
-# steps of offset scales, which their offsets make nearly redundant), over anchors and price. The
-# deformation networks of both sides have two layers of 64, as in `tiny`, or of 32 where networks
-# are a large part of a file. A squared error that is summed over four times as many pixels may be
-# four times as large for the same PSNR, so the losses grow with the number of pixels.
+# Explicit: D3DGS with a deformation network of our size, stored *coded alike* after training with
+# six losses, each a point of the curve. Ours: the design with coded networks, of which each point
+# is a training, because its prices are paid while it trains; four children an anchor (`tiny_coded`)
+# and single children (`small_coded` with features of 8 numbers and coarse steps of offset scales,
+# which their offsets make nearly redundant), over anchors and price. The deformation networks of
+# both sides have two layers of 64, as in `tiny`, or of 32 where networks are a large part of a
+# file. A squared error that is summed over four times as many pixels may be four times as large for
+# the same PSNR, so the losses grow with the number of pixels.
 
 # %%
 ITERATIONS, STEPS = 6500, 7
-LOSSES = (4e-4, 1.6e-3, 6.4e-3)  # at SMALLEST pixels
+LOSSES = (4e-4, 1.6e-3, 3.2e-3, 6.4e-3, 1.28e-2, 2.56e-2)  # at SMALLEST pixels
 SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and single children
     64: (
         3,
@@ -166,7 +167,7 @@ SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and s
     128: (
         3,
         ((1000, 0), (2000, 0), (2000, 1), (4000, 0)),
-        ((400, 0.0005), (800, 0.0005), (1600, 0.002)),
+        ((400, 0.0005), (800, 0.0005), (1600, 0.002), (3200, 0.002)),
         ((1000, 0.0005), (2000, 0.0005), (4000, 0.0005)),
     ),
     256: (
