@@ -160,19 +160,22 @@ LOSSES = (4e-4, 1.6e-3, 3.2e-3, 6.4e-3, 1.28e-2, 2.56e-2)  # at SMALLEST pixels
 SIZES = {  # seeds; explicit Gaussians and degree; anchors and price, four and single children
     64: (
         3,
-        ((500, 0), (1000, 0), (1000, 1), (2000, 0), (4000, 0), (1000, 0, "narrow")),
+        (
+            *((500, 0), (1000, 0), (1000, 1), (1400, 0), (2000, 0), (4000, 0)),
+            (1000, 0, "narrow"),
+        ),
         ((200, 0.0005), (400, 0.0005), (800, 0.002), (400, 0.0005, "narrow")),
         ((500, 0.0005), (1000, 0.0005), (2000, 0.0005), (1000, 0.0005, "narrow")),
     ),
     128: (
         3,
-        ((1000, 0), (2000, 0), (2000, 1), (4000, 0)),
-        ((400, 0.0005), (800, 0.0005), (1600, 0.002), (3200, 0.002)),
+        ((1000, 0), (1400, 0), (2000, 0), (2000, 1), (2800, 0), (4000, 0)),
+        ((400, 0.0005), (800, 0.0005), (1600, 0.002)),
         ((1000, 0.0005), (2000, 0.0005), (4000, 0.0005)),
     ),
     256: (
         1,
-        ((2000, 0), (4000, 0), (8000, 0)),
+        ((2000, 0), (4000, 0), (5600, 0), (8000, 0)),
         ((800, 0.0005), (1600, 0.0005), (3200, 0.002)),
         ((2000, 0.0005), (4000, 0.0005)),
     ),
@@ -332,6 +335,7 @@ def implied():
 # ## The record
 # Ours are read as two curves. Only anchors of four children use the paper's first idea, to predict
 # several neighbours from one feature; single children have its context and rate alone.
+# What came out is told in [the reference](reference.md#what-these-tables-show).
 
 # %%
 FOUR, ALONE = "four children", "single children"
@@ -362,12 +366,16 @@ def curves_of(rows):
 
 
 def at_levels(explicit, ours):
-    """{PSNR: times the bytes of ours that explicit files need}, at every half dB both reach."""
+    """{PSNR: times the bytes of ours that explicit files need}.
+
+    The PSNRs are the half dBs that both reach, and the highest one.
+    """
     if not explicit or not ours:
         return {}
     fronts = [front(explicit), front(ours)]
     low, high = max(f[0, 1] for f in fronts), min(f[-1, 1] for f in fronts)
-    levels = np.arange(np.ceil(2 * low), np.floor(2 * high) + 1) / 2
+    halves = np.arange(np.ceil(2 * low), np.floor(2 * high) + 1) / 2
+    levels = [*halves, high] if low <= high else []
     return {psnr: np.divide(*(bytes_at(f, psnr) for f in fronts)) for psnr in levels}
 
 
@@ -402,7 +410,7 @@ def told(row):
     """A row of `summaries` in words; where factors pass 1, the curves cross."""
     lines = [f"{row['kind']}: {row['each']:.1f} bytes a Gaussian without networks (median)"]
     if "factors" in row:
-        phrases = [f"{factor:.2f} at {psnr:g} dB" for psnr, factor in row["factors"].items()]
+        phrases = [f"{factor:.2f} at {psnr:.4g} dB" for psnr, factor in row["factors"].items()]
         lines.append(f"  {', '.join(phrases) or 'no PSNR that both reach'}")
     if row.get("seeds", 0) > 1:
         is_clear = abs(row["median"] - 1) > row["error"]

@@ -126,6 +126,11 @@ PICTURES = {
         "beyond_networks.png",
         "Beyond the paper: networks that pay for their bits, against the paper's design",
     ),
+    "growing_detail.png": Picture(
+        "tutorial",
+        "growing_detail.png",
+        "From where on prediction pays: one scene in finer and finer detail, both sides coded",
+    ),
     "front_accuracy.png": Picture("record", "front_accuracy.png", None),
     "front_stability.png": Picture("accuracy", "front_stability.png", None),
     DRAWING: Picture("drawing", DRAWING, None),

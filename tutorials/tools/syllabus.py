@@ -222,7 +222,7 @@ MADE = {  # what draws pictures and is no numbered tutorial with a solution
     "00": lambda out: shared.run(
         "00", ["-c", (FOLDER / "00_whole_paper.py").read_text(encoding="utf-8")], out
     ),
-    "beyond": lambda out: run("beyond_networks", out),
+    "beyond": lambda out: run("beyond_networks", out) + run("growing_detail", out),
     "demo": gallery.draw_demo,
     "accuracy": gallery.draw_accuracy,
     "tour": gallery.draw_tour,

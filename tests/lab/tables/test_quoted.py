@@ -19,6 +19,7 @@ from p4dgs_ref.lab.tables import ablate, curve, hundredfold
 from p4dgs_ref.lab.tables.methods import CODED
 from p4dgs_ref.lab.writer import bd_rate, means
 from tests.budget import ROOT
+from tutorials import growing_detail
 from tutorials.tools import records
 
 PAGES = (
@@ -131,6 +132,11 @@ def numbers(name, terms, rows, labels):
             found = {value for row in of_steps for value in row.values()}
             found |= {1 / row["factor"] for row in of_steps if "factor" in row}  # what grows
             return {value for value in found if isinstance(value, float)}
+    if name == "growing_detail":
+        found = growing_detail.summaries(growing_detail.with_kinds(own))
+        each = [row.pop("factors", {}) | row for row in found]
+        values = {value for row in each for pair in row.items() for value in pair}
+        return entries(own) | {value for value in values if isinstance(value, float)}
     if name == "effects":
         found = [row.values() for row in effect_ledger.summaries(own)]
         return entries(own) | {value for row in found for value in row if isinstance(value, float)}
@@ -176,5 +182,5 @@ def test_every_record_is_quoted_and_most_changed_digits_are_noticed():
         other = NUMERAL.sub(lambda one: f"{one[0][:-1]}{(int(one[0][-1]) + 5) % 10}", text)
         changed += len(numerals(other))
         noticed += len(unfound(name, terms, other))
-    assert {quote.values[1] for quote in QUOTES} == {*records.PLANS}
+    assert {quote.values[1] for quote in QUOTES} == {*records.PLANS, "growing_detail"}
     assert 0.8 * changed < noticed <= changed
