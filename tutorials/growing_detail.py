@@ -481,15 +481,16 @@ def main(words):
         return show()
     word, part = (*words, "0/1")[:2]
     if word not in ("cost", "make", "collect") or not re.fullmatch(r"\d+/[1-9]\d*", part):
-        sys.exit(f"{' '.join(words)}: expected cost, make, make I/N or collect")
-    tasks = plan()
+        print(f"{' '.join(words)}: expected cost, make, make I/N or collect", file=sys.stderr)
+        sys.exit(2)
+    tasks, there = plan(), kept()
     if word == "collect":
         return collect(tasks)
-    there = kept()
-    missing = [task for task in tasks if task.path.name not in there]
+    own = methods.part_of(tasks, *map(int, part.split("/")))
+    missing = [task for task in own if task.path.name not in there]
     if word == "cost":
         return cost(missing)
-    methods.make_missing(methods.part_of(missing, *map(int, part.split("/"))), say)
+    methods.make_missing(missing, say)
 
 
 # %%

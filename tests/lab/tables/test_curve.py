@@ -146,6 +146,7 @@ def test_trainings_of_another_length_or_scene_are_other_points(drawn, scene):
     more = study.plan([scene], folder, **{**CURVE, "names": (), "seeds": 3})
     assert {task.path for task in tasks if task.method == CODED} < {task.path for task in more}
     assert [task.seed for task in more] == sorted(task.seed for task in more)
+    assert {task.seed for task in more if task.method in study.ONE_SEED} == {0}
     both = study.plan([scene], folder)
     assert [{t.iterations for t in both if t.seed == seed} for seed in (0, 1)] == [
         {*study.LENGTHS},
