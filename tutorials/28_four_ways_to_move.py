@@ -732,8 +732,9 @@ medians = {
 }
 for (design, storage), median in medians.items():
     print(f"D3DGS small, {storage}: {median:.2f} times the bytes of {design}")
-assert medians["p4dgs_coded", "as stored"] > 6  # most of it is float32,
-assert medians["p4dgs", "coded alike"] < medians["p4dgs_coded", "coded alike"] < 1  # and not method
+alike = medians["p4dgs_coded", "coded alike"]
+assert medians["p4dgs_coded", "as stored"] > 4 * alike  # most of it is float32, not the method
+assert medians["p4dgs", "coded alike"] < alike
 
 # %% [markdown]
 # **4. How large is the spread?** Two seeds of one method differ by half a dB or more on scenes as

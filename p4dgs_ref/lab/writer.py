@@ -71,6 +71,19 @@ def points_of(rows):
     return means(whole, *keys)
 
 
+def of_every_seed(rows):
+    """The rows of trainings that have every seed of their method.
+
+    Beside means over seeds, the best of several single seeds would win by luck.
+    """
+    keys, seeds = ("method", "label", "iterations"), lambda group: {row["seed"] for row in group}
+    every = {method: seeds(group) for (method,), group in grouped(rows, keys[0]).items()}
+    there = grouped(rows, *keys)
+    return [
+        row for row in rows if seeds(there[tuple(row[key] for key in keys)]) == every[row["method"]]
+    ]
+
+
 def text_table(columns, rows):
     """Lines of text, the first column to the left, the others to the right.
 

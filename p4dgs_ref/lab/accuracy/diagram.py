@@ -18,6 +18,7 @@ PLACES = (
     (-6, -12, "right"),
     (0, 9, "center"),
     (0, -17, "center"),
+    (0, -28, "center"),
     (12, 12, "left"),
     (-12, 12, "right"),
     (12, -20, "left"),

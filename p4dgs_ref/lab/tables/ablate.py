@@ -188,7 +188,7 @@ def disagreements(steps):
 def to_text(result):
     """Table 3 in form with the paper's numbers beside it, then the parts left out."""
     rows = [
-        {**step, "step": f"ours, {name}" if name in LEFT_OUT else name}
+        {**step, "step": f"the paper's, {name}" if name in LEFT_OUT else name}
         for step in result["steps"]
         for name in (step["step"],)
     ]

@@ -10,7 +10,7 @@ The bytes at that PSNR are those of a method's curve, interpolated between its b
 import numpy as np
 
 from ...report.figures import BLUE, ORANGE, save_figure, styled, subplots
-from ..writer import best, bytes_at, front, points_of, text_table
+from ..writer import best, bytes_at, front, of_every_seed, points_of, text_table
 from .methods import ALIKE, AS_STORED, CODED, HALF, OURS
 
 LEVELS = {"figure": 34.8, "glossy": 36.0}  # dB, which every step reaches
@@ -42,7 +42,7 @@ def steps(rows):
     Half the range over the seeds that reach the PSNR is `bytes_spread`. A step whose curve does not
     reach it has no bytes.
     """
-    found = []
+    found, rows = [], of_every_seed(rows)
     for scene in LEVELS:
         own, before = [row for row in rows if row["scene"] == scene], None
         for step, (method, storage, without) in STEPS.items() if own else ():

@@ -139,7 +139,7 @@ def test_table_3_shows_the_papers_numbers_apart(ablated):
     ends = [line.split()[-4:] for line in lines[4:11]]
     assert lines[4].startswith("D3DGS") and ends[0] == ["56.70", "-", "38.04", "-"]
     assert ends[3] == ["0.85", "-84.1", "38.24", "-0.10"] and ends[4] == 4 * ["-"]
-    assert lines[10].startswith("ours, fixed step") and ends[6] == 4 * ["-"]
+    assert lines[10].startswith("the paper's, fixed step") and ends[6] == 4 * ["-"]
 
 
 def test_a_plain_file_renders_like_its_model(scene, tmp_path):

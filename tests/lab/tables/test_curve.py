@@ -7,7 +7,7 @@ import pytest
 
 from p4dgs_ref.lab import writer
 from p4dgs_ref.lab.tables import curve as study
-from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.lab.tables import hundredfold, methods
 from p4dgs_ref.lab.tables.methods import ALIKE, AS_STORED, CODED, OURS, Task
 from p4dgs_ref.model import Model
 
@@ -82,6 +82,29 @@ def test_a_point_counts_where_every_scene_has_it():
     rows += [rows_of(OURS, AS_STORED, "a", seed, 200, 40.0) for seed in (0, 1)]
     assert [(p["bytes"], p["seeds"]) for p in study.points_of(rows)] == [(100, 1)]
     assert [p["bytes"] for p in study.points_of(rows[2:])] == [200]
+
+
+def test_a_point_that_lacks_seeds_of_its_method_is_on_no_curve():
+    whole = [
+        rows_of(method, AS_STORED, scene, seed, factor * size, psnr)
+        | dict.fromkeys(hundredfold.KINDS, size)
+        for method, factor in ((CODED, 1), ("d3dgs_small", 10), ("hexplane", 20))
+        for scene in hundredfold.LEVELS
+        for seed in ((0,) if method == "hexplane" else (0, 1))
+        for size, psnr in ((100, 34.0), (200, 35.0), (400, 37.0))
+    ]
+    lucky = [
+        {**row, "iterations": 3, "bytes": row["bytes"] // 2}
+        for row in whole
+        if (row["method"], row["seed"]) == ("d3dgs_small", 0)
+    ]
+    assert writer.of_every_seed(whole + lucky) == whole
+    assert study.comparisons(whole + lucky) == study.comparisons(whole)
+    assert hundredfold.steps(whole + lucky) == hundredfold.steps(whole)
+    assert {row["name"] for row in study.comparisons(whole)} >= {"hexplane"}
+    assert study.shorter(whole) == []
+    (found,) = study.shorter(whole + lucky)
+    assert (found["files"], found["mean"], found["best"], found["bytes"]) == (6, 0, 0, 0.5)
 
 
 def test_others_are_compared_in_each_storage_scene_and_with_their_spread():
