@@ -285,15 +285,24 @@ def shorter(rows):
     for (method, storage), group in grouped(rows, "method", "storage").items():
         length = max(row["iterations"] for row in group)
         longest = {which(row): row for row in group if row["iterations"] == length}
-        shorts = [row for row in group if row["iterations"] < length and which(row) in longest]
-        pairs = [(row, longest[which(row)]) for row in shorts]
+        pairs = [
+            (row["held_back_db"] - other["held_back_db"], row["bytes"] / other["bytes"])
+            for row in group
+            for other in [longest.get(which(row))]
+            if other and row is not other
+        ]
         if pairs:
-            gains = [one["held_back_db"] - other["held_back_db"] for one, other in pairs]
-            change = {"mean": float(np.mean(gains)), "best": max(gains)}
-            change["bytes"] = float(
-                np.mean([one["bytes"] / other["bytes"] for one, other in pairs])
+            gains, sizes = zip(*pairs)
+            found.append(
+                {
+                    "name": method,
+                    "storage": storage,
+                    "files": len(pairs),
+                    "mean": float(np.mean(gains)),
+                    "best": max(gains),
+                    "bytes": float(np.mean(sizes)),
+                }
             )
-            found.append({"name": method, "storage": storage, "files": len(pairs), **change})
     return found
 
 
