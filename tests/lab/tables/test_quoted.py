@@ -5,7 +5,8 @@ before sentences, up to the next blank line or comment, whose numerals come from
 values: entries, means over seeds and scenes with half their range, differences and ratios between
 the named labels. `without text` leaves out the labels that have this text. `factors` are those of
 the bytes of all methods at equal PSNR, and the BD-rates; `factors of p4dgs` are against the paper's
-design instead of ours, and `hundredfold` are the steps from the file of D3DGS to ours.
+design instead of ours, `hundredfold` are the steps from the file of D3DGS to ours, and `shorter` is
+what fewer iterations change.
 """
 
 import re
@@ -30,7 +31,7 @@ MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=\n\n|<!-
 NUMERAL = re.compile(r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
 UNQUOTED = re.compile(r"`[^`]*`|\]\([^)]*\)")  # names and links
 QUANTITIES = ("psnr_db", "ssim", "lambda_rate", "iterations", "anchors", "gaussians")
-ABOUT_ALL = ("factors", "hundredfold")
+ABOUT_ALL = ("factors", "hundredfold", "shorter")
 QUOTES = [
     pytest.param(page, *quote, id=f"{page}: {' '.join(quote[2].split())[:30]}")
     for page in PAGES
@@ -124,14 +125,18 @@ def factors(rows, base=CODED):
 def numbers(name, terms, rows, labels):
     """The numbers that a sentence about some labels may quote."""
     own = [row for row in rows if row["label"] in labels]
+    lengths = {row["iterations"] for row in own}
     for term in terms:
         if term.startswith("factors"):
-            return factors(own, *term.split(" of ")[1:]) | {row["iterations"] for row in own}
+            return factors(own, *term.split(" of ")[1:]) | lengths
         if term == "hundredfold":
             of_steps = hundredfold.steps(own)
             found = {value for row in of_steps for value in row.values()}
             found |= {1 / row["factor"] for row in of_steps if "factor" in row}  # what grows
-            return {value for value in found if isinstance(value, float)}
+            return {value for value in found if isinstance(value, float)} | lengths
+        if term == "shorter":
+            values = {value for row in curve.shorter(own) for value in row.values()}
+            return {value for value in values if not isinstance(value, str)} | lengths
     if name == "growing_detail":
         found = growing_detail.summaries(growing_detail.with_kinds(own))
         each = [row.pop("factors", {}) | row for row in found]
