@@ -90,6 +90,7 @@ ONE_SEED = ("d3dgs", "hexplane", "gaussian4d")  # far from every envelope; in fu
 LOSSES = (5e-4, 2e-3, 8e-3)  # of what is coded alike: the price of the error against bits
 STORAGES = {method: [(ALIKE, loss) for loss in LOSSES] for method in (OURS, *baselines.METHODS)}
 STORAGES["d3dgs_small"].append((HALF, None))
+DEPTH = 2  # dB below our lowest point, where the picture ends
 ENVELOPE = "envelope"  # of the explicit methods
 NAMES = {
     OURS: "P-4DGS, the paper's design",
@@ -230,8 +231,9 @@ def curves_of(points):
         for method in (*SIZES, ENVELOPE):
             named = baselines.METHODS if method == ENVELOPE else [method]
             stored = AS_STORED if method == CODED else storage
-            chosen = [p for p in points if p["method"] in named and p["storage"] == stored]
-            curves[method, storage] = best(chosen)
+            curves[method, storage] = best(
+                p for p in points if p["method"] in named and p["storage"] == stored
+            )
     return curves
 
 
@@ -348,7 +350,8 @@ def draw_curves(path, rows):
         for (method, stored), chosen in curves.items():
             if stored == storage and chosen:
                 draw_curve(ax, method, chosen)
-    axes[0].set(ylabel="PSNR of the test views (dB)")
+    ours = [p["psnr_db"] for method in OUR_PRESETS for p in curves[method, AS_STORED]]
+    axes[0].set(ylabel="PSNR of the test views (dB)", ylim=(min(ours, default=DEPTH) - DEPTH, None))
     handles = {text: handle for ax in axes for handle, text in zip(*ax.get_legend_handles_labels())}
     figure.legend(handles.values(), handles, loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle(literal(title_of(rows)), fontsize=13)
