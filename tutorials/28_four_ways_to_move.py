@@ -703,8 +703,8 @@ assert ratio_of_largest == 4 and 3 < at_33 < 3.3
 # authors' network, but nearly all of the difference is the network. A fair comparison also shows
 # D3DGS with a network of our size, and it stores both alike. [The project's
 # record](records/curve.csv) (6,500 iterations, three scenes) says how many times the bytes of our
-# coded design, and of the paper's design with coded networks, this D3DGS needs at equal PSNR, in
-# float32 and once it is quantised and entropy coded after training.
+# coded design, and of the paper's design, this D3DGS needs at equal PSNR: each as its authors store
+# it (D3DGS in float32, the paper's networks in float16), and all quantised and entropy coded.
 
 # %%
 N = d3dgs.TINY.gaussians

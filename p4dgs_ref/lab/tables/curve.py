@@ -245,8 +245,8 @@ def pairs_of(points):
 def comparisons(rows):
     """How many times the bytes of ours the others need, in the mean and on each scene.
 
-    Against our coded design and against the paper's, whose networks are coded alike. Half the range
-    of the median over the seeds that all have is `median_spread`.
+    Against our coded design and against the paper's, which is stored as the others are. Half the
+    range of the median over the seeds that all have is `median_spread`.
     """
     rows = of_every_seed(rows)
     scenes, seeds = ([*dict.fromkeys(row[name] for row in rows)] for name in ("scene", "seed"))
@@ -258,7 +258,7 @@ def comparisons(rows):
         for ours in (CODED, OURS):
             for (method, storage), points in curves.items():
                 if method not in OUR_PRESETS or (method, ours) == (OURS, CODED):
-                    pairs = [(one[ours, ALIKE], one[method, storage]) for one in (curves, *each)]
+                    pairs = [(one[ours, storage], one[method, storage]) for one in (curves, *each)]
                     row = against(*pairs[0])
                     medians = [against(*pair).get("median") for pair in pairs[1:] if all(pair)]
                     if row and len(medians) > 1 and None not in medians:
@@ -384,9 +384,9 @@ def to_text(result):
             *text_table(COLUMNS, result["points"]),
             *edges,
             "",
-            f"Bytes of others at equal PSNR against {CODED}, and against {OURS} with networks "
-            "coded alike, at every PSNR that both reach. The BD-rate is that of ours, where both "
-            "curves have three points and overlap:",
+            f"Bytes of others at equal PSNR against {CODED} and {OURS}, in the same storage, at "
+            "every PSNR that both reach. The BD-rate is that of ours, where both curves have three "
+            "points and overlap:",
             *text_table(AGAINST, result["against"]),
             "",
             *(text_table(SHORTER, result["shorter"]) + [""] if result["shorter"] else []),

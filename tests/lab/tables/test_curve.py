@@ -131,6 +131,7 @@ def test_others_are_compared_in_each_storage_scene_and_with_their_spread():
         assert found[scene, CODED, study.ENVELOPE, AS_STORED] == pytest.approx(10)
         assert found[scene, CODED, study.ENVELOPE, ALIKE] == pytest.approx(3)
         assert found[scene, OURS, study.ENVELOPE, ALIKE] == pytest.approx(1.5)
+        assert found[scene, OURS, study.ENVELOPE, AS_STORED] == pytest.approx(2.5)
         assert found[scene, CODED, "hexplane", ALIKE] == pytest.approx(6)
     assert not any(ours == name for _, ours, name, _ in found)
     assert all(row["median_spread"] == pytest.approx(0) for row in study.comparisons(rows))

@@ -158,16 +158,23 @@ def is_in(numeral, found):
 
 
 def unfound(name, terms, text):
-    """The numerals of a text that are not in the record, each with its sentence; how many are."""
+    """The numerals of a text that are not in the record, each with its sentence.
+
+    A row of a table that begins with a scene, or with the pixels of one, is about this scene.
+    """
     terms = terms.split("; ") if terms else []
     rows = chosen(records.rows(name), [term for term in terms if not term.startswith(ABOUT_ALL)])
     found, missing = {}, []
     for sentence, labels in sentences(text, [*dict.fromkeys(row["label"] for row in rows)]):
-        about = tuple(labels)
+        first, _, rest = sentence.partition(" | ")
+        own = [row for row in rows if row["scene"].removeprefix("detail_") == first.strip("| `")]
+        about = first if own else "", *labels
         if about not in found:
-            found[about] = numbers(name, terms, rows, labels)
+            found[about] = numbers(name, terms, own or rows, labels)
         missing += [
-            f"{one} in {sentence!r}" for one in numerals(sentence) if not is_in(one, found[about])
+            f"{one} in {sentence!r}"
+            for one in numerals(rest if own else sentence)
+            if not is_in(one, found[about])
         ]
     return missing
 
