@@ -92,7 +92,7 @@ def readable_ticks(axis):
 
 
 def place_labels(fig):
-    """Move the labels of points to where they cover neither points nor each other.
+    """Move the labels of points to where they cover neither points, a legend nor each other.
 
     Where there is room they do not cross lines either. A label for which there is no place is left
     out; the CSV has its number.
@@ -103,7 +103,10 @@ def place_labels(fig):
         labels.sort(key=lambda text: text.get_fontweight() != "bold")  # ours first
         drawn = [line for line in ax.lines if labels]
         half = 0.04 * fig.dpi
-        taken = [box for line in drawn for box in boxes(points_of(line), half)]
+        taken = [
+            *(box for line in drawn for box in boxes(points_of(line), half)),
+            *(legend.get_window_extent() for legend in [ax.get_legend()] if legend),
+        ]
         crossed = [box for line in drawn for box in boxes(between(points_of(line)), half)]
         for text in labels:
             for avoided, (x, y, side) in product((taken + crossed, taken), PLACES):
