@@ -129,7 +129,7 @@ SHORTER = {
     "fewer iterations": "{name}",
     "storage": "{storage}",
     "files": "{files}",
-    "mean dB": "{mean:+.2f}",
+    "held back, mean dB": "{mean:+.2f}",
     "best dB": "{best:+.2f}",
     "times the bytes": "{bytes:.2f}",
 }
