@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from . import oracle
     from .arithmetic import prepare
     from .codec.container import BitstreamError
-    from .designs import PRESETS, decode, encode, train
+    from .codec.file import decode, encode
     from .model import Model
     from .report.evaluate import evaluate
     from .report.jobs import main_job
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from .splatting.camera import Camera, look_at
     from .splatting.settings import SETTINGS
     from .table import EQUATIONS
+    from .training.fit import train
+    from .training.presets import PRESETS
 
 __version__ = "0.1.0"
 
@@ -57,7 +59,7 @@ __all__ = [
 
 _HOME = {
     "EQUATIONS": "table",
-    "PRESETS": "designs",
+    "PRESETS": "training.presets",
     "SETTINGS": "splatting.settings",
     "BitstreamError": "codec.container",
     "Camera": "splatting.camera",
@@ -65,15 +67,15 @@ _HOME = {
     "Scene": "scenes.scene",
     "SceneError": "scenes",
     "View": "scenes.scene",
-    "decode": "designs",
-    "encode": "designs",
+    "decode": "codec.file",
+    "encode": "codec.file",
     "evaluate": "report.evaluate",
     "load_scene": "scenes.load",
     "look_at": "splatting.camera",
     "main_job": "report.jobs",
     "prepare": "arithmetic",
     "simulate": "scenes.simulator",
-    "train": "designs",
+    "train": "training.fit",
 }
 
 

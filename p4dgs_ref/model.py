@@ -161,11 +161,11 @@ def move(design, networks, x, s, r, t):
     return at_t, back
 
 
-def predict(design, networks, anchors, x_c, t=None, move=move):
+def predict(design, networks, anchors, x_c, t=None):
     """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
 
     `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
-    Gaussians are the canonical ones; `move` is what happens to them in time. Return
+    Gaussians are the canonical ones. Return
 
         the Gaussians at time t as the camera at x_c [3] sees them
         the opacities [A, k] of all children before masking, for density control

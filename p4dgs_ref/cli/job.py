@@ -9,7 +9,6 @@ import numpy as np
 
 import p4dgs_ref as p4
 
-from .. import designs
 from ..codec import container, splats
 from ..output import absent, filled, made, new_file, write_atomically
 from ..report import figures
@@ -19,8 +18,9 @@ from ..report.evaluate import compression, json_safe, timed
 from ..scenes.fields import SceneError
 from ..scenes.files import write_image
 from ..scenes.load import find_scene, read_points_for, read_scene_json
-from ..training.fit import CHECKPOINT, GO_ON, doubts
-from ..training.presets import differences, rows_of
+from ..training.fit import CHECKPOINT, GO_ON, doubts, fit, load_model, lost
+from ..training.presets import choose, differences, rows_of
+from ..training.trainer import Trainer
 from . import UsageError, caution, progress, require, say, show, tell, text
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".apng", ".mp4")  # no names of folders
@@ -30,7 +30,7 @@ HELD = ("azimuth", "elevation", "distance", "size", "frames")  # options about a
 def read_preset(name, changes=()):
     """The preset with its --set changes, checked before any work begins."""
     try:
-        return designs.choose(name, dict(item.partition("=")[::2] for item in changes))
+        return choose(name, dict(item.partition("=")[::2] for item in changes))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
@@ -43,7 +43,7 @@ def read_file(path):
         "a folder, pipe or device; expected a .p4dgs file",
     )
     try:
-        data = designs.read_file(path)
+        data = container.read_file(path)
         return data, *timed(p4.decode, data)
     except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
@@ -83,10 +83,7 @@ def demo(arguments):
     """Run the main job and write its report."""
     preset = read_preset(arguments.preset, arguments.changes)
     scene = p4.load_scene(arguments.scene)
-    trainings = 2 if designs.beyond(preset) else 1
-    estimate(
-        arguments, [(designs.trainer_of(scene, preset), trainings)], min(arguments.jobs, trainings)
-    )
+    estimate(arguments, [(Trainer(scene, preset), 1)])
     metrics = p4.main_job(
         scene,
         preset,
@@ -94,7 +91,6 @@ def demo(arguments):
         arguments.output,
         arguments.start,
         None if arguments.quiet else sys.stderr,
-        arguments.jobs,
     )
     show(arguments, json_safe(metrics), text.metrics(metrics, arguments.output))
 
@@ -118,7 +114,7 @@ def train(arguments):
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
         absent(Path(arguments.output) / CHECKPOINT, GO_ON)
-        estimate(arguments, [(designs.trainer_of(scene, preset), 1)])
+        estimate(arguments, [(Trainer(scene, preset), 1)])
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
             "no scene.json lists effects, so all are trained; "
@@ -128,7 +124,7 @@ def train(arguments):
         caution(sentence)
     with made(arguments.output) as folder:
         trainer, seconds = timed(
-            designs.fit,
+            fit,
             scene,
             preset,
             arguments.seed,
@@ -138,11 +134,7 @@ def train(arguments):
         )
         with filled(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    factors = getattr(trainer, "factors", ())
-    if factors:
-        counted = " and from stage 3 on ".join(f"{times:.1f} times" for times in factors)
-        say(f"what moves counted {counted} in L1, until the middle of stage 3 (B3)")
-    caution(designs.what_is_lost(trainer))
+    caution(lost(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 
@@ -150,7 +142,7 @@ def encode(arguments):
     """Compress a run to a file."""
     checkpoint = Path(arguments.run) / CHECKPOINT
     with new_file(arguments.output, checkpoint, start=container.MAGIC) as output:
-        model, values = designs.load_model(arguments.run)
+        model, values = load_model(arguments.run)
         data, seconds = timed(p4.encode, model)
         write_atomically(output, lambda file: file.write(data))
     tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
@@ -177,15 +169,6 @@ def decode(arguments):
             json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
         )
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
-
-
-def read_model(path):
-    """The model of a file of ours, or of a baseline's."""
-    if Path(path).suffix != ".ply":
-        return read_file(path)[1]
-    from ..lab import baselines
-
-    return baselines.load(path)
 
 
 def views_of(scene):
@@ -219,7 +202,7 @@ def render(arguments):
         output,
         "has files already; expected a new or an empty folder, so that all pictures are of one run",
     )
-    model, reads = read_model(arguments.file), [arguments.file]
+    (_, model, _), reads = read_file(arguments.file), [arguments.file]
     if arguments.scene:
         scene = p4.load_scene(arguments.scene)
         views = views_of(scene)

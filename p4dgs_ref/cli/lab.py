@@ -85,41 +85,6 @@ def make_rows(arguments, tasks):
     methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
 
 
-def make_table(arguments, study, *options, is_made=False):
-    """Make the rows of a study that are missing, unless they are all made; show them."""
-    with filled(arguments.output) as staging:
-        tasks = study.plan(*options, arguments.iterations)
-        if not is_made:
-            make_rows(arguments, tasks)
-        result = study.collect(tasks, staging)
-    show(arguments, result, f"{study.to_text(result)}\nfiles and tables: {arguments.output}")
-
-
-def compare_methods(arguments):
-    """Train all methods on scenes; print the paper's Tables 1 and 2 in form, or their curves."""
-    from ..lab.tables import compare, curve, methods
-
-    for name, is_wanted in (("--point", arguments.point), ("--collect", arguments.collect)):
-        require(arguments.curve or not is_wanted, name, "expected together with --curve")
-    require(not (arguments.point and arguments.collect), "--collect", "expected without --point")
-    scenes = [load_scene(name) for name in arguments.scenes or compare.dynamic_scenes()]
-    options = scenes, arguments.output, arguments.methods, arguments.seeds or 3
-    if not arguments.point:
-        study = curve if arguments.curve else compare
-        return make_table(arguments, study, *options, is_made=arguments.collect)
-    tasks = methods.part_of(curve.plan(*options, arguments.iterations), *arguments.point)
-    make_rows(arguments, tasks)
-    tell(f"{len(tasks)} rows of this part are in {arguments.output}; --collect reads all parts")
-
-
-def ablate_parts(arguments):
-    """Print the paper's Table 3 in form, and the method with one part left out at a time."""
-    from ..lab.tables import ablate
-
-    scene = load_scene(arguments.scene)
-    make_table(arguments, ablate, scene, arguments.output, arguments.seeds or 3)
-
-
 def classroom(arguments):
     """Write the equations without their bodies, and the key."""
     from ..lab.classroom import hand_out

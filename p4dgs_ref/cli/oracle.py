@@ -3,7 +3,6 @@
 from contextlib import nullcontext
 from pathlib import Path
 
-from ..lab.baselines import ALL_EQUATIONS
 from ..oracle import published
 from ..oracle.adapter import Adapter
 from ..oracle.checker import check_port
@@ -20,8 +19,8 @@ def list_cases(arguments):
 
 
 def list_equations(arguments):
-    """Print the table of equations, also the baselines' and those beyond the paper."""
-    tell(to_markdown(ALL_EQUATIONS))
+    """Print the table of equations."""
+    tell(to_markdown())
 
 
 def export_vectors(arguments):

@@ -46,15 +46,6 @@ def bounded(kind, low, high=1e18):
     return read
 
 
-def part(text):
-    """Read I/N, the part I of N parts, counted from 0."""
-    with suppress(ValueError):
-        i, n = map(int, text.split("/"))
-        if 0 <= i < n:
-            return i, n
-    raise argparse.ArgumentTypeError(f"expected I/N with 0 <= I < N, got {text!r}")
-
-
 def given(text):
     """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
     if not text:
@@ -107,18 +98,6 @@ SETTINGS = (
     switch("--quiet", "no progress line"),
     YES,
 )
-EXPERIMENT = (
-    JSON,
-    option("--seeds", type=bounded(int, 1, 1000), metavar="N", help="seeds 0 to N - 1 (3)"),
-    option(
-        "--iterations",
-        type=bounded(int, 4),
-        metavar="N",
-        help="of every training (default those of the preset)",
-    ),
-    JOBS,
-    YES,
-)
 ORACLE = {
     "list": ("oracle.list_cases", "list all cases and what each of them tests", ()),
     "equations": ("oracle.list_equations", "print the table of equations", ()),
@@ -166,11 +145,8 @@ GROUPS = {
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 JSON,
-                preset(
-                    "tiny_coded", "of the training (tiny_coded); also trained without what is ours"
-                ),
+                preset("tiny", "of the training (tiny)"),
                 *SETTINGS,
-                JOBS,
                 output("folder of the report (report)", default="report"),
             ),
         ),
@@ -211,7 +187,7 @@ GROUPS = {
             "job.render",
             "draw a file over time, from a held camera or from the test views of a scene",
             (
-                option("file", help="a .p4dgs file, or a baseline's .ply"),
+                option("file", help="a .p4dgs file"),
                 output("new folder to write to, or a .gif file", required=True),
                 option(
                     "--azimuth",
@@ -357,39 +333,6 @@ GROUPS = {
                 output("folder to write to; its trainings are kept (report/effects)"),
             ),
         ),
-        "compare": (
-            "lab.compare_methods",
-            "the methods of the paper's tables 1 and 2 on tiny scenes, or PSNR against bytes",
-            (
-                option("scenes", nargs="*", help=f"{SCENE_HELP} (default: all that move)"),
-                several("--method", "NAME", "ours and this one; may be repeated", dest="methods"),
-                switch("--curve", "every method over its own size: PSNR against bytes, table 4"),
-                option(
-                    "--point",
-                    type=part,
-                    metavar="I/N",
-                    help="with --curve: only make part I of N, from 0, of the rows",
-                ),
-                switch("--collect", "with --curve: only read the rows that are there"),
-                *EXPERIMENT,
-                output(
-                    "folder to write to; its trainings are kept (report/compare)",
-                    default="report/compare",
-                ),
-            ),
-        ),
-        "ablate": (
-            "lab.ablate_parts",
-            "the paper's table 3: from D3DGS to P-4DGS step by step, parts left out",
-            (
-                SCENE,
-                *EXPERIMENT,
-                output(
-                    "folder to write to; its trainings are kept (report/ablate)",
-                    default="report/ablate",
-                ),
-            ),
-        ),
     },
     "Teach, for teachers and their students": {
         "classroom": (
@@ -479,7 +422,7 @@ def parser():
 STOPPED = {
     "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
     **dict.fromkeys(
-        ("accuracy", "effects", "compare", "ablate"),
+        ("accuracy", "effects"),
         "; the trainings that are done are kept, the same command makes the others",
     ),
     "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "

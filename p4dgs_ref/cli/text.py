@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, rows_of, value_of
+from ..training.presets import PAPER_REAL, PAPER_SYNTHETIC, differences, rows_of
 
 
 def quality(m):
@@ -30,24 +30,9 @@ def metrics(m, folder):
         f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  {size(m)}\n"
-        f"{against_the_paper(m)}"
         f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), "
         f"encode {m['encode_seconds']:.3f} s, {times(m)}, total {m['seconds']:.1f} s\n"
         f"  report in {folder}"
-    )
-
-
-def against_the_paper(m):
-    """What a preset beyond the paper gains and loses; nothing for the paper's design itself."""
-    paper = m["paper_design"]
-    if not m["beyond_the_paper"]:
-        return ""
-    return (
-        f"  {paper['name']}: PSNR {paper['psnr_db']:.2f} dB, SSIM {paper['ssim']:.4f}, file "
-        f"{paper['bytes']:,} bytes\n"
-        f"  against it: {m['psnr_db'] - paper['psnr_db']:+.2f} dB, "
-        f"{m['bytes'] / paper['bytes']:.3f} of the bytes\n"
-        f"  ours: {'; '.join(m['beyond_the_paper'])}\n"
     )
 
 
@@ -83,12 +68,6 @@ def setting(value):
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-SINGLE = (
-    "  k = 1 switches the paper's first idea off: an anchor predicts a single child instead of "
-    "several neighbouring Gaussians"
-)
-
-
 def presets(shown, every_field):
     """Presets beside the paper's two, each as `preset` shows it."""
     return "\n".join(line for one in shown for line in preset(one, every_field))
@@ -104,12 +83,11 @@ def preset(one, every_field):
     rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
     for field, row in rows_of(one).items():
         if every_field or field in changed:
-            values = [setting(value_of(p, row)) for p in columns]
+            values = [setting(getattr(p, field)) for p in columns]
             mark = "* " if field in changed else "  "
             rows.append([mark + field, *values, row.metadata["source"]])
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",
-        *([SINGLE] if one.k == 1 else []),
         *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
     ]

@@ -90,6 +90,8 @@ Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535
 (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) + (9 8 + 9 6) = 486 numbers, which are 972 bytes.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..attributes import ATTRIBUTES
@@ -104,8 +106,8 @@ from .container import (
 )
 from .context import coding_context
 from .gaussian_table import gaussian_model
-from .header import check_work
-from .plain import PLAIN
+from .header import check_work, read_header, write_header
+from .plain import read_networks, read_positions, write_networks, write_positions
 from .quantise import Quantised, coded_columns, dequantise, quantise
 from .streams import decode_bits, decode_symbols, encode_bits, encode_gaussian
 
@@ -126,7 +128,7 @@ def attribute_columns(design):
     ]
 
 
-def sections_of(quantised, form=PLAIN):
+def sections_of(quantised):
     """The sections {name: bytes} of a quantised model.
 
     Raises EncodeError for a model that decoders refuse because it would cost them too much time.
@@ -134,8 +136,8 @@ def sections_of(quantised, form=PLAIN):
     model, ctx = quantised.model, quantised.context
     signs = np.concatenate([grid.ravel() for grid in model.grids])
     sections = {
-        "header": form.write_header(model),
-        "positions": form.write_positions(model, quantised.positions),
+        "header": write_header(model),
+        "positions": write_positions(model, quantised.positions),
         "masks": encode_bits(model.anchors.mask.ravel()),
         "hash_grid": encode_bits(signs > 0),
     }
@@ -146,7 +148,7 @@ def sections_of(quantised, form=PLAIN):
     for name, members in NETWORK_SECTIONS.items():
         present = {member: model.networks[member] for member in members if member in model.networks}
         if present:
-            sections[name] = form.write_networks(present, model)
+            sections[name] = write_networks(present, model)
     try:
         check_work(model.design, len(model.anchors.mask), sum(map(len, sections.values())))
     except BitstreamError as error:
@@ -170,25 +172,32 @@ def decode(data: bytes) -> Model:
     return quantised_of(read_container(data)).model
 
 
-def quantised_of(sections, form=PLAIN):
+def quantised_of(sections):
     """The quantised model in the sections of a file, the inverse of `sections_of`.
 
     Raises BitstreamError, which names section and byte.
     """
     require("header" in sections, "header", 0, "section is missing")
-    design, A, background = form.read_header(sections["header"])
+    design, A, background = read_header(sections["header"])
     check_work(design, A, sum(map(len, sections.values())))
     check_presence(sections, design.layers())
-    box, positions = form.read_positions(sections["positions"], A, design)
+    box, positions = read_positions(sections["positions"], A, design)
     networks, layers = {}, design.layers()
     for name, members in NETWORK_SECTIONS.items():
         shapes = {member: layers[member] for member in members if member in layers}
         if shapes:
-            networks |= form.read_networks(sections[name], name, shapes)
+            networks |= read_networks(sections[name], name, shapes)
+    model = Model(design, None, networks, [], box, background)
+    return decode_attributes(sections, model, positions)
+
+
+def decode_attributes(sections, model, positions):
+    """The quantised model, from all that its file holds as plain numbers."""
+    design, A = model.design, len(positions)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)
     kept = coded_columns(mask, design)
-    ctx = coding_context(design, networks, grids, positions)
+    ctx = coding_context(design, model.networks, grids, positions)
     decoded = [
         (columns, read_symbols(sections[name], name, ctx, columns, kept))
         for name, columns in attribute_columns(design)
@@ -198,9 +207,8 @@ def quantised_of(sections, form=PLAIN):
     for columns, values in decoded:
         symbols[:, columns][kept[:, columns]] = values
     del decoded, values
-    anchors = Anchors(unsnap(positions, *box), *dequantise(symbols, ctx, design), mask)
-    model = Model(design, anchors, networks, grids, box, background)
-    return Quantised(model, positions, symbols, kept, ctx)
+    anchors = Anchors(unsnap(positions, *model.box), *dequantise(symbols, ctx, design), mask)
+    return Quantised(replace(model, anchors=anchors, grids=grids), positions, symbols, kept, ctx)
 
 
 def check_presence(sections, layers):

@@ -101,19 +101,18 @@ def read_object(data):
     return dict(pairs)
 
 
-def read_fields(fields, more={}, kind=Design):
-    """What `read_header` returns. `more` {name: reader} are further fields of a design `kind`."""
-    readers = {**FIELDS, **more}
+def read_fields(fields):
+    """What `read_header` returns."""
     require_header(
-        fields.keys() == readers.keys(), f"expected the fields {', '.join(readers)}, once each"
+        fields.keys() == FIELDS.keys(), f"expected the fields {', '.join(FIELDS)}, once each"
     )
-    values = {name: read(name, fields[name]) for name, read in readers.items()}
+    values = {name: read(name, fields[name]) for name, read in FIELDS.items()}
     require_header(
         len(set(values["effects"])) == len(values["effects"]),
         "field 'effects': expected no effect twice",
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
-    design = kind(**values)
+    design = Design(**values)
     parts = declared_numbers(design, anchors)
     require_header(
         parts["grid"] <= MAX_ENTRIES,

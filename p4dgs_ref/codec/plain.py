@@ -1,31 +1,12 @@
-"""The sections that are stored as plain numbers, and the Form that says how they are.
-
-`file.py` describes these sections. Whoever writes them otherwise passes another Form.
-"""
-
-from collections.abc import Callable
-from typing import NamedTuple
+"""The sections that are stored as plain numbers; `file.py` describes them."""
 
 import numpy as np
 
 from ..limits import MAX_BOX
 from .container import require, require_encodable
-from .header import read_header, write_header
 
 BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
 BOX_BYTES = 24
-
-
-class Form(NamedTuple):
-    """How the parts of a file are written and read that are not entropy coded."""
-
-    write_header: Callable  # of a model: bytes
-    read_header: Callable  # the design, the number of anchors A, the background
-    write_positions: Callable  # (model, positions): bytes
-    read_positions: Callable  # (data, A, design): box, positions
-    round_networks: Callable  # of a model: its networks as a decoder will have them
-    write_networks: Callable  # (networks, model): bytes
-    read_networks: Callable  # (data, section, shapes): networks
 
 
 def valid_box(lo, hi):
@@ -109,14 +90,3 @@ def read_networks(data, section, shapes):
     finite = np.isfinite(numbers)
     require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
     return networks_of(numbers, shapes)
-
-
-PLAIN = Form(
-    write_header,
-    read_header,
-    write_positions,
-    read_positions,
-    round_networks,
-    write_networks,
-    read_networks,
-)

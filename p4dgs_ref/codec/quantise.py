@@ -10,7 +10,8 @@ from ..equations import mlp, rounding
 from ..model import ANCHOR_NETWORKS, Anchors, Model, groups, join, snap, split
 from .container import BitstreamError, EncodeError, require_encodable
 from .context import CodingContext, coding_context
-from .plain import BOX, PLAIN, valid_box
+from .header import read_header, write_header
+from .plain import BOX, round_networks, valid_box
 
 
 class Quantised(NamedTuple):
@@ -45,7 +46,7 @@ def dequantise(symbols, ctx, design):
     return split(values, design)
 
 
-def quantise(model, form=PLAIN):
+def quantise(model):
     """Round a model to what its file will hold. P-4DGS Eq. (10); choices Q14, Q15, Q18, Q19.
 
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
@@ -57,27 +58,26 @@ def quantise(model, form=PLAIN):
     """
     check_shapes(model)
     anchors, box = with_children(model.anchors), round_box(model.box)
-    networks = form.round_networks(model)
+    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box)
+    anchors = anchors._replace(x_a=x_a)
+    rounded = replace(model, anchors=anchors, networks=round_networks(model), box=box)
+    return quantise_attributes(rounded, positions)
+
+
+def quantise_attributes(model, positions):
+    """The same for a model whose positions and networks are already what its file will hold."""
     grids = [
         np.where(finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
     ]
-    background = np.array(model.background, float)
-    design = as_decoded(replace(model, anchors=anchors, background=background), form)
-    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box)
+    model = replace(model, grids=grids, background=np.array(model.background, float))
+    design, anchors = as_decoded(model), model.anchors
     kept = coded_columns(anchors.mask, design)
-    ctx = coding_context(design, networks, grids, positions)
+    ctx = coding_context(design, model.networks, grids, positions)
     symbols = round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
-    rounded = replace(
-        model,
-        design=design,
-        anchors=Anchors(x_a, *dequantise(symbols, ctx, design), anchors.mask),
-        networks=networks,
-        grids=grids,
-        box=box,
-        background=background,
-    )
-    return Quantised(without_silent_units(rounded), positions, symbols, kept, ctx)
+    anchors = Anchors(anchors.x_a, *dequantise(symbols, ctx, design), anchors.mask)
+    rounded = without_silent_units(replace(model, design=design, anchors=anchors))
+    return Quantised(rounded, positions, symbols, kept, ctx)
 
 
 def with_children(anchors):
@@ -157,10 +157,10 @@ def round_box(box):
     return lo, hi
 
 
-def as_decoded(model, form):
+def as_decoded(model):
     """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
     try:
-        return form.read_header(form.write_header(model))[0]
+        return read_header(write_header(model))[0]
     except BitstreamError as error:
         raise EncodeError(f"design: {error.message}") from None
 

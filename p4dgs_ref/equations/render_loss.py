@@ -17,16 +17,15 @@ def forward(
     truth,  # [H, W, C]  true image
     lambda_ssim,  # []  weight of D_SSIM
     truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
-    weight=1.0,  # of a pixel in L1: [H, W, 1], or 1 for all as in the paper
 ):
     """Return L_render, L1 and D_SSIM [] and what `backward` needs."""
     difference = image - truth
     precision = image.dtype.type
-    L1 = precision((weight * np.abs(difference)).mean(dtype=np.float64))
+    L1 = precision(np.abs(difference).mean(dtype=np.float64))
     D_SSIM, saved_ssim = ssim.dissimilarity(image, truth, truth_moments)
     D_SSIM = precision(D_SSIM)
     L_render = precision(1 - lambda_ssim) * L1 + precision(lambda_ssim) * D_SSIM
-    return (L_render, L1, D_SSIM), (weight * np.sign(difference), lambda_ssim, saved_ssim)
+    return (L_render, L1, D_SSIM), (np.sign(difference), lambda_ssim, saved_ssim)
 
 
 def backward(saved, L_render_bar, L1_bar=0.0, D_SSIM_bar=0.0):

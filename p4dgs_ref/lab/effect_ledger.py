@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import effects as fx
-from ..designs import decode
+from ..codec.file import decode
 from ..model import declared_numbers
 from ..report.figures import BLUE, save_figure, styled, subplots, write_csv
 from ..scenes.scene import MODEL_EFFECTS

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import effects as fx
-from ..report.jobs import in_processes
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting.camera import Camera
-from ..training.loop import psnr
 from ..training.presets import TINY
+from ..training.progress import psnr
 from ..training.trainer import Trainer
 from .accuracy.harness import step_at
 from .clock import alternate
+from .processes import in_processes
 
 # The iterations of a training, and the pairs, each of which keeps another part of the views back.
 # Effects of the view are as small as what trainings differ by, so they need two pairs. All

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from ..codec import published
-from ..codec.container import BitstreamError
-from ..designs import quantised_of
+from ..codec.container import BitstreamError, read_container
+from ..codec.file import quantised_of
 from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
@@ -58,7 +58,7 @@ def decoded(data):
     Raises BitstreamError.
     """
     types = {**published.TYPES, "bit": bool}
-    arrays = published.expected(quantised_of(data))
+    arrays = published.expected(quantised_of(read_container(data)))
     return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 

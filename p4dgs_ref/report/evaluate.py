@@ -9,7 +9,7 @@ from ..model import Model
 from ..scenes.scene import Scene
 from ..splatting.settings import FAST, Settings
 from ..training.fit import warn
-from ..training.loop import psnr
+from ..training.progress import psnr
 from .inspect import components
 
 # D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.

@@ -11,7 +11,7 @@ from ..scenes.files import image_bytes
 from ..splatting import render
 from ..splatting.camera import look_at
 from ..splatting.settings import FAST
-from ..training.loop import COLUMNS
+from ..training.progress import COLUMNS
 
 STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
@@ -166,45 +166,25 @@ def write_motion(path, model, camera, frames=24, zoom=4):
 
 
 @styled()
-def write_size(folder, measured):
-    """size.csv and size.png: bytes by component, from {name: metrics} of one or two designs.
-
-    They are those of a preset's file and of the paper's design, which may be None. Bars are sorted
-    by the last design. The title compares the first one with the same Gaussians as float32.
-    """
-    designs = {label: of["components"] for label, of in measured.items() if of}
-    (preset, metrics), _ = measured.items()
-    columns = dict(zip(("bytes", "paper_design_bytes"), designs.values()))
+def write_size(folder, name, metrics):
+    """size.csv and size.png: the bytes of a file by component, from the largest to the smallest."""
+    components, size = metrics["components"], metrics["bytes"]
     write_csv(
         folder / "size.csv",
-        [
-            {"component": name, **{column: of[name] for column, of in columns.items()}}
-            for name in metrics["components"]
-        ],
+        [{"component": part, "bytes": count} for part, count in components.items()],
     )
-    sizes = {label: sum(components.values()) for label, components in designs.items()}
-    explicit, last = metrics["explicit_bytes"], [*designs.values()][-1]
-    names = sorted(last, key=last.get)
-    figure, ax = subplots(figsize=(8.5, 2.5 + 2.75 * len(designs)), layout=None)
-    height = 0.8 / len(designs)
-    for i, (color, (label, components)) in enumerate(zip(STACK, designs.items())):
-        values = [components[name] for name in names]
-        ax.bar_label(
-            ax.barh(np.arange(len(names)) - i * height, values, height, color=color, label=label),
-            [f" {v:,} ({100 * v / sizes[label]:.1f} %)" for v in values],
-        )
-    ax.set_yticks(
-        np.arange(len(names)) - (len(designs) - 1) * height / 2, [LABELS[name] for name in names]
-    )
+    parts = sorted(components, key=components.get)
+    values = [components[part] for part in parts]
+    figure, ax = subplots(figsize=(8.5, 5.25), layout=None)
+    bars = ax.barh([LABELS[part] for part in parts], values, color=BLUE)
+    ax.bar_label(bars, [f" {v:,} ({100 * v / size:.1f} %)" for v in values])
     ax.set(xlabel="bytes in the file", xmargin=0.35)  # room for the numbers
     ax.xaxis.set_major_formatter("{x:,.0f}")
     ax.locator_params(axis="x", nbins=5)
-    if len(designs) > 1:
-        ax.legend(loc="lower right", frameon=False)
+    explicit = metrics["explicit_bytes"]
     figure.suptitle(
-        "; ".join(f"{label}: {size:,} bytes" for label, size in sizes.items())
-        + f"\nthe Gaussians of {preset} as float32: {explicit:,} bytes, "
-        f"{explicit / sizes[preset]:.1f} times as many",
+        f"{name}: {size:,} bytes\nits Gaussians as float32: {explicit:,} bytes, "
+        f"{explicit / size:.1f} times as many",
         fontsize=14,
     )
     save_figure(figure, folder / "size.png")

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.special import xlogy
 
-from ..codec.file import NETWORK_SECTIONS, attribute_columns
+from ..codec.container import read_container
+from ..codec.file import NETWORK_SECTIONS, attribute_columns, quantised_of
 from ..codec.plain import BOX_BYTES
 from ..codec.streams import ideal_bits_gaussian
-from ..designs import has_version_2, quantised_of, read_container
 from ..equations import hash_grid, likelihood
 from ..model import context
 
@@ -53,14 +53,14 @@ def ledger(data):
     Raises BitstreamError for a file that cannot be decoded.
     """
     sections = read_container(data)
-    q = quantised_of(data)
+    q = quantised_of(sections)
     model, prior = q.model, float_context(q.model)
     steps = np.repeat(q.context.q, model.design.widths, axis=1)
     floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
     integers = symbol_bits(q)
     parts = {
         "header": (len(sections["header"]),),
-        "positions": (BOX_BYTES + has_version_2(data), q.positions.size),
+        "positions": (BOX_BYTES, q.positions.size),
     }
     signs = np.concatenate([grid.ravel() for grid in model.grids]) > 0
     for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
@@ -109,7 +109,7 @@ def symbol_bits(q):
 def anchor_bits(data):
     """The model of a file, and the bits [A] of each anchor: its position, attributes and masks."""
     sections = read_container(data)
-    q = quantised_of(data)
+    q = quantised_of(sections)
     mask = q.model.anchors.mask
     position = 8 * (len(sections["positions"]) - BOX_BYTES) / len(mask)  # the mean of all anchors
     return q.model, position + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)

@@ -13,17 +13,23 @@ import zlib
 from contextlib import nullcontext
 from dataclasses import fields
 from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import effects as fx
 from ..limits import MAX_CHECKPOINT_BYTES
+from ..model import Model
 from ..output import absent, destination, locked, write_atomically
+from ..scenes.scene import Scene
 from ..signals import deferred
-from ..splatting.settings import FAST
-from .initial import lattice_nodes, starting_points
-from .loop import Progress, psnr
-from .presets import Preset, rows_of
+from ..splatting.settings import FAST, Settings
+from .initial import design_of, lattice_nodes, starting_points
+from .parameters import Parameters
+from .presets import PAPER_SYNTHETIC, Preset, choose
+from .progress import Progress, psnr
+from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
@@ -148,7 +154,7 @@ def disagreements(image, other):
     return np.abs(image - other).max(axis=2) > FOREGROUND_THRESHOLD
 
 
-def lost(trainer, remedy=""):
+def lost(trainer):
     """What to say where what moves is hardly better than in one picture shown for all views.
 
     This picture is the mean of the training views. Both are compared with test views, which
@@ -173,8 +179,8 @@ def lost(trainer, remedy=""):
         f"{'what moves is lost' if fx.moves(scene.effects) else 'the result is useless'}: where "
         f"{'test' if scene.test else 'training'} views differ from the model at rest "
         f"({len(truth) / size:.1%} of the pixels), it has {psnr(drawn, truth):.2f} dB, the mean of "
-        f"the training pictures {of_mean:.2f} dB; try "
-        + (remedy or "another seed, more iterations (stage_ends), more views or larger bodies")
+        f"the training pictures {of_mean:.2f} dB; try another seed, more iterations (stage_ends), "
+        "more views or larger bodies"
     )
 
 
@@ -188,15 +194,9 @@ def fingerprint(views, text=""):
 
 
 def identity(trainer):
-    """What a checkpoint has in common with every training that goes on from it, as JSON values.
-
-    A field that only presets of another class have is left out where it is as the paper has it.
-    """
-    preset = trainer.preset
-    others = (row for name, row in rows_of(preset).items() if name not in rows_of(Preset))
-    off = {row.name for row in others if getattr(preset, row.name) == row.default}
+    """What a checkpoint has in common with every training that goes on from it, as JSON values."""
     return {
-        **{f"preset.{name}": value for name, value in vars(preset).items() if name not in off},
+        **{f"preset.{name}": value for name, value in vars(trainer.preset).items()},
         "seed": trainer.seed,
         "effects": list(trainer.design.effects),
         "background": [float(c) for c in trainer.scene.background],
@@ -249,14 +249,77 @@ def go_on(trainer, folder, common):
     Raises RunError with the first field in which their identities differ.
     """
     arrays, values = load_checkpoint(folder)
-    common = json.loads(json.dumps(common))
-    # A preset of another class may have fields that this one lacks.
-    of_presets = (name for name in values if name.startswith("preset."))
-    for field in dict.fromkeys((*common, *of_presets)):
-        if values.get(field) != common.get(field):
+    for field, value in json.loads(json.dumps(common)).items():
+        if values.get(field) != value:
             raise RunError(
                 f"{Path(folder) / CHECKPOINT}: field '{field}': the checkpoint was made with "
                 "another one; pass what the training was started with, or choose a new output "
                 "folder"
             )
     trainer.restore(arrays, values)
+
+
+def load_model(folder: str | Path) -> tuple[Model, dict]:
+    """The model in the checkpoint of a run folder, and the values of the checkpoint."""
+    arrays, values = load_checkpoint(folder)
+    fields = {
+        name.removeprefix("preset."): value
+        for name, value in values.items()
+        if name.startswith("preset.") and name != "preset.name"
+    }
+    design = design_of(choose(PAPER_SYNTHETIC, fields), values["effects"])
+    p, box = Parameters(tagged(arrays, "p")), tuple(arrays["box"])
+    return assemble(p, design, arrays["mask"], box, values["background"]), values
+
+
+def fit(
+    scene: Scene,
+    preset: str | Preset = "tiny",
+    seed: int = 0,
+    settings: Settings = FAST,
+    points: ArrayLike | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    stream: TextIO | None = None,
+    save_every: float = SAVE_EVERY,
+    **changes: Any,
+) -> Trainer:
+    """Do what `train` does without its warnings, and return the Trainer, which has the history."""
+    trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
+    run(trainer, folder, resume, stream, save_every)
+    return trainer
+
+
+def train(
+    scene: Scene,
+    preset: str | Preset = "tiny",
+    seed: int = 0,
+    *,
+    settings: Settings = FAST,
+    points: ArrayLike | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+    stream: TextIO | None = None,
+    save_every: float = SAVE_EVERY,
+    **changes: Any,
+) -> Model:
+    """Fit a scene and return the model, ready to be rendered or encoded.
+
+    `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
+    [A, 3] in scene units, without them at those of the scene, and at random where it has none. In
+    `folder`, which must exist, a checkpoint is kept and renewed every `save_every` seconds; with
+    `resume` training goes on from it. The progress line goes to `stream`.
+
+    Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
+    fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
+    first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
+    KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
+    training views, of pictures and starting points that are of no use, and where what moves is
+    hardly better than in the mean of the training pictures.
+    """
+    preset = choose(preset, changes)
+    for sentence in doubts(scene, preset, seed, points):
+        warn(sentence)
+    trainer = fit(scene, preset, seed, settings, points, folder, resume, stream, save_every)
+    warn(lost(trainer))
+    return trainer.model()

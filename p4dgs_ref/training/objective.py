@@ -9,7 +9,6 @@ returns the losses and `back`, which calls their backwards in the opposite order
 where a quantity was used twice.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,13 +23,11 @@ from ..equations import (
     render_loss,
     total_loss,
 )
-from ..equations.numerics import in_precision_of
 from ..model import (
     Anchors,
     concatenate_groups,
     context,
     groups,
-    move,
     predict,
     split,
     with_backward,
@@ -49,9 +46,6 @@ class StepInputs(NamedTuple):
     lambda_rate: float
     lambda_ssim: float
     settings: Settings  # of the renderer
-    weight: np.ndarray | float = 1.0  # of a pixel in L1, [H, W, 1] or one for all
-    R_more: float = 0.0  # bits that the file needs besides those of anchors and hash grid
-    move: Callable = move  # Eqs. (5) and (6)
 
 
 class Losses(NamedTuple):
@@ -104,7 +98,6 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
         anchors,
         view.camera.center.astype(values.dtype),
         view.time if stage > 2 else None,
-        inputs.move,
     )  # g: the N kept children of all A anchors, [N, ...]
     (image, _, visible), back_render = with_backward(
         render,
@@ -116,10 +109,10 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
     )
     truth = view.image.astype(image.dtype)
     (L_render, L1, D_SSIM), back_image = with_backward(
-        render_loss, image, truth, inputs.lambda_ssim, truth_moments, inputs.weight
+        render_loss, image, truth, inputs.lambda_ssim, truth_moments
     )
     if stage == 4:
-        (bits, L_rate), back_rate = rate(noisy, ctx, grids, inputs.mask, design, inputs.R_more)
+        (bits, L_rate), back_rate = rate(noisy, ctx, grids, inputs.mask, design)
     L_total, back_total = with_backward(
         total_loss, np.float64(L_render), np.float64(L_rate), inputs.lambda_rate
     )
@@ -168,19 +161,18 @@ def add_noise(values, u, steps, design):
     return np.concatenate(noisy, axis=1), back
 
 
-def rate(noisy, ctx, grids, mask, design, R_more=0.0):
+def rate(noisy, ctx, grids, mask, design):
     """Return (bits, L_rate) of the noisy attributes and the grids, and `back`.
 
-    Eqs. (11), (13), (14) and (17); R_more bits are added to those of the grids. The rate is per
-    coded number of the anchors (Q12). back(L_rate_bar) returns the gradients of noisy attributes,
-    mu and sigma [A, n], of the steps [A, 4] and of the grids.
+    Eqs. (11), (13), (14) and (17). The rate is per coded number of the anchors (Q12).
+    back(L_rate_bar) returns the gradients of noisy attributes, mu and sigma [A, n], of the steps
+    [A, 4] and of the grids.
     """
     q = np.repeat(ctx.q, design.widths, axis=1)  # all numbers of a group share its step
     bits_a, back_bits = with_backward(likelihood, noisy, ctx.mu, ctx.sigma, q)
     R_anchor, back_anchor = with_backward(anchor_rate, *split(bits_a, design), mask)
     (R_hash, _, _), back_hash = with_backward(hash_rate, grids)
-    R_rest = R_hash + in_precision_of(R_hash, R_more)
-    rates, back_rates = with_backward(rate_loss, R_anchor, R_rest, noisy.size)
+    rates, back_rates = with_backward(rate_loss, R_anchor, R_hash, noisy.size)
 
     def back(L_rate_bar):
         rates_bar = back_rates(L_rate_bar=L_rate_bar)

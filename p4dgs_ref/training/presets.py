@@ -165,11 +165,6 @@ def rows_of(preset):
     return {row.name: row for row in fields(preset) if row.metadata}
 
 
-def value_of(preset, row):
-    """The value of a field in a preset, where the preset has it, else what the paper has."""
-    return getattr(preset, row.name, row.default)
-
-
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
     name="paper_real",
@@ -221,24 +216,22 @@ PRESETS: dict[str, Preset] = {
 def differences(preset, against=PAPER_SYNTHETIC):
     """Every difference as (field, value of the other, value of the preset)."""
     return [
-        (name, value_of(against, row), value_of(preset, row))
-        for name, row in rows_of(preset).items()
-        if value_of(against, row) != value_of(preset, row)
+        (name, getattr(against, name), getattr(preset, name))
+        for name in rows_of(preset)
+        if getattr(against, name) != getattr(preset, name)
     ]
 
 
-def choose(
-    preset: str | Preset, changes: Mapping[str, Any] | None = None, presets=PRESETS
-) -> Preset:
-    """A preset, or the one of that name in `presets`, with some fields changed.
+def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Preset:
+    """A preset, or the one of that name, with some fields changed.
 
     A change may also be a text, as on the command line. Raises ValueError with the name of the
     preset or field and what was expected.
     """
     if isinstance(preset, str):
-        if preset not in presets:
-            raise ValueError(f"preset {preset!r}: expected one of {', '.join(presets)}")
-        preset = presets[preset]
+        if preset not in PRESETS:
+            raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
+        preset = PRESETS[preset]
     defaults = {name: row.default for name, row in rows_of(preset).items()}
     changed = replace(preset, **read_changes(preset.name, defaults, changes))
     for name, row in rows_of(preset).items():

@@ -1,17 +1,24 @@
-"""The four stages of training: what is trained when, density control, a state to save."""
+"""The training of one scene: `Trainer.step` is one iteration of the loop.
+
+A random view, its loss and gradients, a check for NaN, a step of Adam, and density control. What is
+trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
+"""
+
+from functools import cache
 
 import numpy as np
 
 from ..attributes import ATTRIBUTES, ROWS
-from ..equations import hash_grid
+from ..equations import hash_grid, ssim
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
-from .loop import Loop
-from .parameters import Parameters, exponential
-from .watch import NotFinite, find_first
+from .parameters import Adam, Parameters, exponential
+from .watch import NotFinite, find_first, first_bad
 
+# Bytes of moments for SSIM that are kept: those of 682 views of 64x64, of 4 of 800x800.
+MAX_MOMENT_BYTES = 2**28
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
 LEARNING_RATES = {
     "x_a": "lr_x",
@@ -51,49 +58,109 @@ def tagged(arrays, tag):
     }
 
 
-class Trainer(Loop):
-    """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
+class Trainer:
+    """Fits one scene: `step()` does one iteration, `model()` returns the model so far.
 
-    # What another design may have instead:
-    learning_rates = LEARNING_RATES
-    first_stage = FIRST_STAGE
-    design_of = staticmethod(design_of)
-    initial_parameters = staticmethod(initial_parameters)
-    assemble = staticmethod(assemble)
+    A training of another kind is a subclass that overrides whole methods.
+    """
+
+    UNIT = "anchors"  # what a model stores
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
-        super().__init__(scene, preset, seed, settings)
-        self.design = self.design_of(preset, scene.effects)
+        self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
+        self.rng = np.random.default_rng(seed)
+        self.iteration = 0
+        self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
+        self.history = []  # rows of training.csv
+        self.moments = {}  # by view, as long as they fit into MAX_MOMENT_BYTES bytes
+        self.begin(scene.points if points is None else points)
+
+    def begin(self, points):
+        """Draw the first parameters; anchors start at points [A, 3], or at random without them."""
+        self.design = design_of(self.preset, self.scene.effects)
         self.box: tuple = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
-        points = scene.points if points is None else points
-        self.start(self.initial_parameters(preset, self.design, self.rng, points))
+        self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         self.statistics = density.Statistics.empty(*self.mask.shape)
+
+    def start(self, parameters):
+        """Take over the first parameters, with zero Adam moments."""
+        self.adopt(parameters)
+        self.adam = Adam(self.parameters)
+
+    def adopt(self, parameters):
+        """Take over parameters and find the networks and grids in them."""
+        self.parameters = parameters
+        self.networks = {name: parameters.network(name) for name in self.design.layers()}
+        self.grids = parameters.listed("grid")
 
     @property
     def primitives(self):
         """The number of anchors."""
         return len(self.mask)
 
-    def adopt(self, parameters):
-        """Take over parameters and find the networks and grids in them."""
-        super().adopt(parameters)
-        self.networks = {name: parameters.network(name) for name in self.design.layers()}
-        self.grids = parameters.listed("grid")
-
     @property
     def stage(self):
         """The stage, 1 to 4, of the next iteration."""
         return self.preset.stage(self.iteration)
 
+    def run(self, report=None):
+        """Train to the end and return the model.
+
+        `report(trainer, losses, rendered, view)` is called after each step.
+        """
+        while self.iteration < self.preset.iterations:
+            results = self.step()
+            if report:
+                report(self, *results)
+        return self.model()
+
+    def step(self):
+        """Do one iteration; returns its Losses, what was Rendered, and the View.
+
+        Raises NotFinite with the first equation, array and index that is NaN or infinite.
+        """
+        view, p = self.next_view(), self.parameters
+        losses, rendered, gradients, mean2d_bar = self.gradients_of(view)
+        rate_of = cache(self.rate_of)  # all arrays of a network have the same rate
+        self.adam.step(p, gradients, lambda name: rate_of(name.split(".")[0]))
+        if not np.isfinite(p.vector).all():
+            phrase = first_bad(p.arrays, "after Adam's step, parameter ")
+            raise NotFinite(f"iteration {self.iteration}: {phrase}")
+        if self.iteration >= self.preset.collect_from:
+            self.statistics.collect(rendered, mean2d_bar, view.camera.width, view.camera.height)
+        self.iteration += 1
+        if self.iteration % self.preset.grow_every == 0:
+            self.adjust()
+        return losses, rendered, view
+
+    def next_view(self):
+        """A random view; no view comes again before all others have been visited."""
+        if not len(self.order):
+            self.order = self.rng.permutation(len(self.scene.train))
+        index, self.order = self.order[-1], self.order[:-1]
+        return self.scene.train[index]
+
+    def moments_of(self, view):
+        """The moments of the truth for SSIM, which are the same at every visit.
+
+        They are four float64 images, computed anew where other views have filled MAX_MOMENT_BYTES.
+        """
+        if id(view) in self.moments:
+            return self.moments[id(view)]
+        moments = ssim.moments(view.image)
+        if 32 * view.image.size * (len(self.moments) + 1) <= MAX_MOMENT_BYTES:
+            self.moments[id(view)] = moments
+        return moments
+
     def rate_of(self, name):
         """The current learning rate of a name of `learning_rates`; 0 where the stage has none."""
-        if self.stage < self.first_stage.get(name, 1) or (name == "x_a" and self.stage == 4):
+        if self.stage < FIRST_STAGE.get(name, 1) or (name == "x_a" and self.stage == 4):
             return 0.0
         return exponential(
             self.iteration,
-            *getattr(self.preset, self.learning_rates[name]),
+            *getattr(self.preset, LEARNING_RATES[name]),
             self.preset.iterations,
             self.preset.decay_from,
         )
@@ -109,14 +176,6 @@ class Trainer(Loop):
             lambda_ssim=self.preset.lambda_ssim,
             settings=self.settings,
         )
-
-    def loss(self, *inputs):
-        """What `objective.loss` returns for its inputs."""
-        return objective.loss(*inputs)
-
-    def find_first(self, inputs):
-        """Where an iteration with these inputs first stops being finite."""
-        return find_first(self.loss, inputs)
 
     def gradients_of(self, view):
         """The Losses of a view, what was Rendered, the gradients of parameters and of mean2d.
@@ -136,12 +195,12 @@ class Trainer(Loop):
             u,
             self.moments_of(view),
         )
-        losses, rendered, back = self.loss(*inputs)
+        losses, rendered, back = objective.loss(*inputs)
         gradients, mean2d_bar = back()
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, rendered.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(f"iteration {self.iteration}: {self.find_first(inputs)}")
+            raise NotFinite(f"iteration {self.iteration}: {find_first(objective.loss, inputs)}")
         return losses, rendered, gradients, mean2d_bar
 
     def freeze_positions(self):
@@ -151,12 +210,8 @@ class Trainer(Loop):
         """
         x_a, tables = self.parameters["x_a"], [T for T, _ in self.design.levels()]
         lo, hi = self.box = self.box or bounding_box(x_a)
-        x_a[...] = self.on_lattice(x_a, lo, hi)
+        x_a[...] = snap(x_a, lo, hi)[1]
         self.located = hash_grid.locate(x_a, lo, hi, self.design.grid, tables)
-
-    def on_lattice(self, x_a, lo, hi):
-        """The positions on the lattice of a file that are nearest to some positions."""
-        return snap(x_a, lo, hi)[1]
 
     def adjust(self):
         """Grow, re-seed, prune and mask as the preset says.
@@ -183,6 +238,14 @@ class Trainer(Loop):
         elif growing or now >= preset.mask_from:
             self.statistics.clear_judged(preset)
 
+    def change_rows(self, names, keep, added):
+        """Drop rows of the arrays `names` and append `added`, whose Adam moments are zero."""
+        zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
+        self.adopt(self.parameters.with_rows(names, keep, added))
+        self.adam.first, self.adam.second = (
+            moments.with_rows(names, keep, zeros) for moments in (self.adam.first, self.adam.second)
+        )
+
     def keep_rows(self, keep, added=None):
         """Drop anchors and append new ones, with their masks, moments and statistics.
 
@@ -200,9 +263,7 @@ class Trainer(Loop):
 
     def model(self):
         """The model as it is now, before rounding."""
-        return self.assemble(
-            self.parameters, self.design, self.mask, self.box, self.scene.background
-        )
+        return assemble(self.parameters, self.design, self.mask, self.box, self.scene.background)
 
     def state(self):
         """All that another process needs to go on: arrays by name, and JSON values by name."""

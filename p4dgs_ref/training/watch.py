@@ -14,12 +14,12 @@ from ..splatting import fast
 from ..table import EQUATIONS
 
 
-def equation_codes(equations=EQUATIONS):
+def equation_codes():
     """{code object: (key, "forward" or "backward")} of equations and of the fast renderer.
 
     The fast renderer has the key "compositing, fast".
     """
-    modules = {key: import_module(eq.module) for key, eq in equations.items()}
+    modules = {key: import_module(eq.module) for key, eq in EQUATIONS.items()}
     modules["compositing, fast"] = fast
     return {
         getattr(module, name).__code__: (key, name)
@@ -69,7 +69,7 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(loss, inputs, equations=EQUATIONS):
+def find_first(loss, inputs):
     """A phrase that names where an iteration, `loss(*inputs)`, first stops being finite.
 
     The first of the inputs are the Parameters.
@@ -85,12 +85,12 @@ def find_first(loss, inputs, equations=EQUATIONS):
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
         if name == "forward":
-            equation = equations[key.split(",")[0]]
+            equation = EQUATIONS[key.split(",")[0]]
             phrases.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
         else:
             phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
 
-    with np.errstate(all="ignore"), watching(equation_codes(equations), see):
+    with np.errstate(all="ignore"), watching(equation_codes(), see):
         losses, _, back = loss(*inputs)
         gradients, _ = back()
     phrases += [

@@ -26,7 +26,7 @@ from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
 from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
 from p4dgs_ref.report.jobs import in_processes
-from p4dgs_ref.training.loop import COLUMNS
+from p4dgs_ref.training.progress import COLUMNS
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
 from tests import processes

@@ -21,7 +21,7 @@ from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training.loop import psnr
+from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS

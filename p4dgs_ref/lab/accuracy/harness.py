@@ -18,16 +18,16 @@ import numpy as np
 
 from ... import output
 from ...arithmetic import CHOSEN, OWN, arithmetic, kernels
-from ...codec.file import ATTRIBUTE_SECTIONS
-from ...designs import choose, decode, encode, trainer_of
+from ...codec.file import ATTRIBUTE_SECTIONS, decode, encode
 from ...report.evaluate import evaluate
 from ...report.inspect import components
-from ...report.jobs import in_processes, processes
 from ...scenes import load_scene
 from ...scenes.files import read_json
 from ...training.fit import fingerprint
-from ...training.presets import TINY
+from ...training.presets import TINY, choose
+from ...training.trainer import Trainer
 from ..clock import alternate, clocked
+from ..processes import in_processes, processes
 
 SCENE, SEEDS = "bouncing", 3
 STEPS = 10  # of a training with other kernels, timed together
@@ -58,7 +58,7 @@ def step_at(scene, preset, stage, **options):
     those of the Trainer.
     """
     # The anchors stay as they are.
-    trainer = trainer_of(scene, replace(preset, grow_every=10**9), **options)
+    trainer = Trainer(scene, replace(preset, grow_every=10**9), **options)
     trainer.iteration, end = (0, *preset.stage_ends)[stage - 1 : stage + 1]
     second = min(trainer.iteration + 1, end - 1)
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
@@ -95,7 +95,7 @@ def trained(changes, iterations=None, seed=0):
     """The model of a training with some changes."""
     scene, preset, options = prepared(changes, iterations)
     with np.errstate(all="ignore"):  # the trainer itself looks for overflows
-        return trainer_of(scene, preset, seed, **options).run()
+        return Trainer(scene, preset, seed, **options).run()
 
 
 # --- the harnesses -------------------------------------------------------------------------------

@@ -1,0 +1,53 @@
+"""What a training shows and records: rows of training.csv, and a line of progress."""
+
+import shutil
+import time
+from contextlib import suppress
+
+import numpy as np
+
+ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
+
+
+def psnr(image, truth):
+    """-10 log10 of the mean squared error of images clipped to [0, 1], in dB; inf if equal."""
+    error = float(np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2))
+    return float("inf") if error == 0 else float(-10 * np.log10(error))
+
+
+class Progress:
+    """Called after every step, it extends `trainer.history` and writes a line to `stream`.
+
+    A terminal shows one line that changes. Other streams get about a dozen lines, None gets none.
+    """
+
+    def __init__(self, stream=None):
+        self.stream, self.live = stream, stream is not None and stream.isatty()
+        self.shown, self.steps = time.monotonic(), 0  # the time of the last line, and steps since
+
+    def __call__(self, trainer, losses, rendered, view):
+        done, total = trainer.iteration, trainer.preset.iterations
+        stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
+        counts = trainer.primitives, len(rendered.index)
+        if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
+            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
+        self.steps += 1
+        seconds = time.monotonic() - self.shown
+        due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
+        if self.stream is None or not (due or done == total):
+            return
+        ms = 1e3 * seconds / self.steps
+        self.shown, self.steps = time.monotonic(), 0
+        # The most important numbers come first, because a narrow terminal cuts the line.
+        line = (
+            f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
+            f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
+            f"{losses.L_rate:.2f} bits/parameter  {counts[0]} {trainer.UNIT}  "
+            f"{counts[1]} Gaussians  {ms:.1f} ms/step"
+        )
+        if self.live:
+            line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
+        end = "" if self.live and done < total else "\n"
+        with suppress(OSError):  # where the disk is full or the terminal closed, training goes on
+            print(line, end=end, file=self.stream, flush=True)

@@ -1,0 +1,434 @@
+"""What the baselines share: explicit Gaussians, their presets, their file and their training.
+
+A file is one PLY with Gaussians as its vertices. All numbers of networks and planes follow the
+vertices, where a viewer does not look. They are not an element, because common viewers take each
+line `property` of a header for one of the vertices, and would read rows that are too long.
+
+    ply
+    format binary_little_endian 1.0
+    comment {"method": "d3dgs", ...}     what a reader must know besides the numbers, as JSON,
+                                         also the shapes of what follows the vertices
+    comment M float32 of networks follow the vertices
+    element vertex N                     a row for each Gaussian, the properties of 3DGS's PLY
+    property float x
+    ...
+    end_header
+
+All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
+own. The text is the overhead, about 2 KB.
+
+Training is the loop of ours. Density control is that of 3DGS (Kerbl et al. 2023, section 5.2):
+cloning, splitting, pruning, and resets of the opacity, with the constants of the authors' code in
+the presets. Statistics are those of `training.density`, with one child per Gaussian.
+"""
+
+import json
+import math
+from dataclasses import dataclass, make_dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from p4dgs_ref.equations import render_loss, view
+from p4dgs_ref.equations.numerics import normalise, sigmoid
+from p4dgs_ref.model import bounding_box, with_backward
+from p4dgs_ref.scenes.fields import require
+from p4dgs_ref.scenes.files import read_ply, write_ply
+from p4dgs_ref.splatting import render
+from p4dgs_ref.splatting.covariance import rotation_matrix
+from p4dgs_ref.splatting.settings import FAST
+from p4dgs_ref.training.density import Statistics
+from p4dgs_ref.training.initial import neighbour_distance, starting_points
+from p4dgs_ref.training.progress import Loop
+from p4dgs_ref.training.objective import Losses, Rendered
+from p4dgs_ref.training.parameters import Parameters, exponential
+from p4dgs_ref.training.watch import NotFinite, first_bad
+from . import sh_color
+
+AFTER_TRAINING = 10**9  # an iteration in which every schedule of a preset has ended
+# The fields of a preset that a file tells its reader.
+FORM = ("sh_degree", "L_x", "L_t", "waves")
+START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
+MOVING_ARRAYS = ("psi", "psi_d", "psi_t", "planes")  # they take part once the Gaussians move
+SHRINK = 1.6  # children of a split are smaller by this factor
+MAX_SCALE = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+RESET_ALPHA = 0.01
+# The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
+PLY_OF_3DGS = {
+    "x": "x y z",
+    "normals": "nx ny nz",  # unused: zeros
+    "sh_dc": "f_dc_*",
+    "sh_rest": "f_rest_*",
+    "logit_alpha": "opacity",
+    "log_s": "scale_*",
+    "raw_r": "rot_*",
+}
+
+
+# --- presets --------------------------------------------------------------------------------------
+# The constants that the methods have in common: their values in the code of 3DGS and in `tiny`.
+FIELDS = {
+    "iterations": (30_000, 3800),
+    "gaussians": (10_000, 800),  # at random points at the start
+    "extent": (1.3, 1.0),  # they are uniform in [-extent, extent]^3
+    "sh_degree": (3, 3),
+    "sh_every": (1000, 500),  # iterations from one active degree of the harmonics to the next
+    "lambda_ssim": (0.2, 0.2),
+    # rates, first and last, geometric over all iterations
+    "lr_x": ((1.6e-4, 1.6e-6), (5e-4, 5e-5)),
+    "lr_sh_dc": ((0.0025, 0.0025), (0.01, 0.001)),
+    "lr_sh_rest": ((0.000125, 0.000125), (0.0005, 5e-5)),
+    "lr_alpha": ((0.05, 0.05), (0.05, 0.005)),
+    "lr_s": ((0.005, 0.005), (0.01, 0.001)),
+    "lr_r": ((0.001, 0.001), (0.005, 5e-4)),
+    # density control
+    "collect_from": (0, 0),
+    "grow_from": (500, 300),
+    "grow_every": (100, 100),
+    "grow_until": (15_000, 2000),
+    "gradient_threshold": (2e-4, 5e-4),  # of the projected centre, in NDC units per view
+    "percent_dense": (0.01, 0.02),  # of the extent: smaller Gaussians are cloned, larger ones split
+    "min_opacity": (0.005, 0.005),
+    "reset_every": (3000, 3000),
+    "most": (10**9, 800),  # it adds none beyond; our preset `tiny` has 200 anchors of 4 children
+}
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The constants of a method; its subclass has a field for each row of the method's table."""
+
+    name: str = "paper_synthetic"
+    warm_up: int = 0  # the first iteration in which the Gaussians move
+
+    def stage(self, iteration):
+        """1 before the Gaussians move, then 2; 1 for a method in which they always do."""
+        return 1 + (iteration >= self.warm_up > 0)
+
+
+def presets(fields):
+    """The class of the presets with these fields, and two of them: `paper_synthetic` and `tiny`.
+
+    A row is {field: (value in the authors' code, which is the default, value in `tiny`)}.
+    """
+    defaults = [(field, type(paper), paper) for field, (paper, _) in fields.items()]
+    kind = make_dataclass("Preset", defaults, bases=(Preset,), frozen=True)
+    return kind, kind(), kind("tiny", **{field: tiny for field, (_, tiny) in fields.items()})
+
+
+# --- the model and its file -----------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Explicit:
+    """A model of explicit Gaussians. Each baseline is a subclass, which also has
+
+    initial(preset, rng, points)   the first arrays by name (a static method)
+    predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
+                                   back(x_bar, s_bar, r_bar, alpha_bar, color_bar), which returns
+                                   the gradients {array name: gradient}; the iteration is one of
+                                   training, or AFTER_TRAINING, the default
+    """
+
+    parameters: Parameters
+    preset: Any
+    background: np.ndarray  # [3]
+    occlusion: bool = True
+
+    METHOD: ClassVar[str]
+    PROPERTIES: ClassVar[dict] = PLY_OF_3DGS  # of the arrays with one row for each Gaussian
+
+    @property
+    def primitives(self):
+        """The number of stored Gaussians."""
+        return len(self.parameters["x"])
+
+    @property
+    def box(self):
+        """The corners of the bounding box of the stored centres."""
+        return bounding_box(self.parameters["x"])
+
+    def gaussians(self, t, camera):
+        """The Gaussians at time t in [0, 1] for this camera."""
+        return self.predict(t, camera.center)[0]
+
+    def render(self, camera, t, settings=FAST):
+        """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
+        (image, *_), _ = self.render_gaussians(
+            self.gaussians(t, camera), camera, settings, keep=False
+        )
+        return image
+
+    def render_gaussians(self, g, camera, settings, keep=True):
+        """What `splatting.render.forward` returns for some Gaussians, and its backward."""
+        looks = camera, self.background, settings, self.occlusion, keep
+        return with_backward(render, g.x, g.s, g.r, g.alpha, g.color, *looks)
+
+    def regularise(self, gradients, iteration):
+        """Return the further terms of the loss and add their gradients; here there are none."""
+        return 0.0
+
+    def values(self):
+        """What a file says besides the numbers."""
+        arrays = self.parameters.arrays
+        return {
+            "method": self.METHOD,
+            "form": {f: getattr(self.preset, f) for f in FORM if hasattr(self.preset, f)},
+            "background": [float(c) for c in self.background],
+            "occlusion": self.occlusion,
+            "rows": {n: arrays[n].shape[1:] if n in arrays else (3,) for n in self.PROPERTIES},
+            "shapes": {n: a.shape for n, a in arrays.items() if n not in self.PROPERTIES},
+        }
+
+    def save(self, path):
+        """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
+        arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        rows = {name: arrays.pop(name, normals) for name in self.PROPERTIES}
+        columns = [array.reshape(len(array), -1) for array in rows.values()]
+        properties = [
+            text.replace("*", str(i)) if "*" in text else text.split()[i]
+            for text, numbers in zip(self.PROPERTIES.values(), columns)
+            for i in range(numbers.shape[1])
+        ]
+        network = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
+        comments = (
+            json.dumps(self.values()),
+            f"{len(network)} float32 of networks follow the vertices",
+        )
+        sizes = write_ply(
+            path,
+            properties,
+            np.concatenate(columns, axis=1),
+            comments,
+            network.astype("<f4").tobytes(),
+        )
+        return dict(zip(("other", "gaussians", "network"), sizes))
+
+
+def start(preset, rng, points=None):
+    """The first Gaussians of 3DGS, on random or given points: grey, faint, as wide as the gaps."""
+    x = starting_points(points, preset.gaussians, preset.extent, rng)
+    N, K = len(x), (preset.sh_degree + 1) ** 2
+    return {
+        "x": x,
+        "sh_dc": rng.random((N, 3, 1)) / 255,
+        "sh_rest": np.zeros((N, 3, K - 1)),
+        "logit_alpha": np.full(N, np.log(START_ALPHA / (1 - START_ALPHA))),
+        "log_s": np.repeat(np.log(neighbour_distance(x))[:, None], 3, axis=1),
+        "raw_r": np.tile([1.0, 0, 0, 0], (N, 1)),
+    }
+
+
+def colors(preset, p, x, x_c, iteration):
+    """D2 for Gaussians at x [N, 3] as the camera at x_c sees them, up to the active degree.
+
+    That is 0 at first and grows by 1 every `sh_every` iterations. Returns the colors and
+    back(color_bar), the gradients of x, sh_dc and sh_rest. The direction is that of the moved
+    Gaussian, as in the kernel of 3DGS.
+    """
+    (_, d), back_view = with_backward(view, x, x_c)
+    degree = min(iteration // preset.sh_every, preset.sh_degree)
+    used = (degree + 1) ** 2 - 1
+    sh = np.concatenate([p["sh_dc"], p["sh_rest"][:, :, :used]], axis=2)
+    color, back_color = with_backward(sh_color, d, sh)
+
+    def back(color_bar):
+        bars = back_color(color_bar)
+        sh_rest_bar = np.zeros_like(p["sh_rest"])
+        sh_rest_bar[:, :, :used] = bars["sh"][:, :, 1:]
+        x_bar = back_view(np.zeros_like(d[:, :1]), bars["d"])["x_a"]
+        return {"x": x_bar, "sh_dc": bars["sh"][:, :, :1], "sh_rest": sh_rest_bar}
+
+    return color, back
+
+
+def of_network(name, weights, biases):
+    """Gradients of a network by the names of its arrays."""
+    layers = zip("Wb", (weights, biases))
+    return {f"{name}.{kind}{i}": a for kind, listed in layers for i, a in enumerate(listed)}
+
+
+def read_file(path):
+    """Return the Parameters and the JSON values of a file.
+
+    Raises an error for a file that no model has saved.
+    """
+    vertices, comments, rest = read_ply(path)
+    require(
+        "".join(comments[:1]).startswith("{"),
+        path,
+        "expected a .p4dgs file, or a .ply that `compare` has written for a baseline",
+    )
+    rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
+    values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
+    count = sum(map(math.prod, values["shapes"].values()))
+    require(len(network) == count, path, f"expected {count} float32 after the vertices")
+    arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
+    arrays.pop("normals", None)
+    return Parameters(arrays), values
+
+
+def split(numbers, shapes):
+    """The arrays {name: array} of some shapes that lie one after another along the last axis."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+    parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
+    return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}
+
+
+# --- training -------------------------------------------------------------------------------------
+class Trainer(Loop):
+    """Fits one scene by the method `kind`, a subclass of Explicit."""
+
+    UNIT = "stored"
+    kind: type
+    # The field of the preset with the rate of an array, or of all arrays of a network; without one,
+    # an array is not trained.
+    RATES = {
+        "x": "lr_x",
+        "sh_dc": "lr_sh_dc",
+        "sh_rest": "lr_sh_rest",
+        "logit_alpha": "lr_alpha",
+        "log_s": "lr_s",
+        "raw_r": "lr_r",
+    }
+    PER_EXTENT = ()  # names whose rates are multiples of the extent of the cameras
+
+    def __init__(self, scene, preset, seed=0, settings=FAST):
+        super().__init__(scene, preset, seed, settings)
+        self.start(Parameters(self.kind.initial(preset, self.rng, scene.points)))
+        self.extent = extent_of(scene.train, self.parameters["x"])
+        self.statistics = Statistics.empty(self.primitives, 1)
+
+    @property
+    def primitives(self):
+        """The number of Gaussians."""
+        return len(self.parameters["x"])
+
+    def around(self, parameters):
+        """The model of some parameters, which it does not copy."""
+        scene = self.scene
+        return self.kind(parameters, self.preset, scene.background, "occlusion" in scene.effects)
+
+    def model(self):
+        """The model as it is now."""
+        return self.around(Parameters(self.parameters.arrays))
+
+    def time_of(self, view):
+        """The time at which the Gaussians are rendered for a view."""
+        return view.time
+
+    def rate_of(self, name):
+        """The current learning rate of an array, or of all arrays of a network."""
+        waits = name in MOVING_ARRAYS and self.iteration < self.preset.warm_up
+        if waits or name not in self.RATES:
+            return 0.0
+        now, until = self.schedule(name)
+        rate = exponential(now, *getattr(self.preset, self.RATES[name]), until=until)
+        return rate * self.extent if name in self.PER_EXTENT else rate
+
+    def schedule(self, name):
+        """How long the schedule of a rate has run, and after how many iterations it ends."""
+        return self.iteration, self.preset.iterations
+
+    def gradients_of(self, view):
+        """The Losses of a view, what was Rendered, and the gradients of parameters and of mean2d.
+
+        Raises NotFinite with the first array and index that is NaN or infinite.
+        """
+        preset, p = self.preset, self.parameters
+        model, gradients = self.around(p), p.zeros()
+        x_c = view.camera.center.astype(p.vector.dtype)
+        g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
+        (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
+        truth, moments = view.image.astype(image.dtype), self.moments_of(view)
+        losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
+        bars = back_render(back_loss(1.0)["image"])
+        gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
+        for name, gradient in back_predict(*gaussians_bar).items():
+            gradients[name][...] = gradient
+        L_render, L1, D_SSIM = (float(loss) for loss in losses)
+        L_total = L_render + model.regularise(gradients, self.iteration)
+        if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
+            bad = first_bad({"L_total": L_total, **gradients.arrays})
+            raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
+        unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
+        return (
+            Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0),
+            Rendered(unused, g.index, visible, image),
+            gradients,
+            bars["mean2d"],
+        )
+
+    def scatter(self, children):
+        """Move copies {array name: rows} of a Gaussian to points drawn from it, and shrink them."""
+        r, _ = normalise(children["raw_r"])
+        drawn = self.rng.normal(size=children["x"].shape) * np.exp(children["log_s"])
+        children["x"] += np.einsum("nij,nj->ni", rotation_matrix(r), drawn)
+        children["log_s"] -= np.log(SHRINK)
+
+    def adjust(self):
+        """Clone, split and prune; reset the opacities every `reset_every` iterations."""
+        preset, now, p = self.preset, self.iteration, self.parameters
+        if not preset.grow_from < now < preset.grow_until:
+            return
+        gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
+        rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
+        keep, added = densify(
+            p, rows, gradient, self.extent, preset, self.scatter, now > preset.reset_every
+        )
+        if keep.any() or len(added["x"]):
+            self.change_rows(rows, keep, added)
+        if now % preset.reset_every == 0:
+            reset_opacity(self.parameters, self.adam.first, self.adam.second)
+        self.statistics = Statistics.empty(self.primitives, 1)
+
+
+# --- density control ------------------------------------------------------------------------------
+def extent_of(views, x):
+    """The size of a scene as 3DGS measures it: how far its cameras are from their mean, and 10 %.
+
+    Cameras that stand still in one place have none; then the first points give it. The authors'
+    code would split every Gaussian and prune it as too large.
+    """
+    centers = np.array([view.camera.center for view in views])
+    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()
+    if spread < 1e-6:
+        spread = np.linalg.norm(x - x.mean(axis=0), axis=1).max()
+    return 1.1 * float(spread)
+
+
+def densify(p, rows, gradient, extent, preset, scatter, prune_large):
+    """The Gaussians [N] to keep, and new ones as {array name: rows}.
+
+    Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
+    place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
+    ones those are left out that are nearly transparent or, with `prune_large`, very large. No more
+    are added than `most` leaves room for, those with the largest gradients.
+    """
+    room = max(preset.most - len(gradient), 0)
+    wanted = np.zeros(len(gradient), bool)
+    wanted[np.argsort(-gradient, kind="stable")[:room]] = True
+    wanted &= gradient >= preset.gradient_threshold
+    large = np.exp(p["log_s"]).max(axis=1) > preset.percent_dense * extent
+    clones, parents = np.flatnonzero(wanted & ~large), np.flatnonzero(wanted & large)
+    children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
+    scatter(children)
+    added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
+    limit = MAX_SCALE * extent if prune_large else np.inf
+    keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
+    keep[parents] = False
+    return keep, {name: a[lasting] for name, a in added.items()}
+
+
+def lasts(p, preset, limit):
+    """Which Gaussians are neither nearly transparent nor larger than the limit."""
+    visible = sigmoid(p["logit_alpha"]) >= preset.min_opacity
+    return visible & (np.exp(p["log_s"]).max(axis=1) <= limit)
+
+
+def reset_opacity(p, first, second):
+    """Lower all opacities, in place, to RESET_ALPHA at most, with zero Adam moments.
+
+    What the pictures need becomes opaque again; the rest is pruned.
+    """
+    limit = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
+    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], limit)
+    first["logit_alpha"][...] = second["logit_alpha"][...] = 0
