@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, ROWS
-
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
 MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
@@ -93,15 +92,14 @@ def grow(p, statistics, preset, rng):
             taken.append((cells[free] * size).astype(p["x_a"].dtype))
             features.append(largest[free])
             sizes.append(np.full(free.sum(), np.log(size)))
-    x_a = np.concatenate(taken)
-    start = {
-        "feature": np.concatenate(features),
-        "spacing": np.concatenate(sizes)[:, None],
-        "zero": 0.0,
+    log_size = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1)
+    return {
+        "x_a": np.concatenate(taken),
+        "f_a": np.concatenate(features),
+        "log_s": log_size,
+        "log_l": log_size,
+        "O_a": np.zeros((len(log_size), *p["O_a"].shape[1:])),
     }
-    shapes = {row: (len(x_a), *p[row.parameter].shape[1:]) for row in ATTRIBUTES}
-    attributes = {row.parameter: np.broadcast_to(start[row.start], shapes[row]) for row in shapes}
-    return {"x_a": x_a, **attributes}
 
 
 def often_seen(statistics, preset):

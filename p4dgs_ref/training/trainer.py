@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, ROWS
 from ..equations import hash_grid, ssim
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
@@ -22,7 +21,10 @@ MAX_MOMENT_BYTES = 2**28
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
 LEARNING_RATES = {
     "x_a": "lr_x",
-    **{row.parameter: row.learning_rate for row in ATTRIBUTES},
+    "f_a": "lr_f",
+    "log_s": "lr_s",
+    "log_l": "lr_l",
+    "O_a": "lr_O",
     "psi_alpha": "lr_alpha",
     "psi_c": "lr_c",
     "psi_r": "lr_r",
@@ -251,11 +253,11 @@ class Trainer:
 
         The last anchor is never dropped.
         """
-        added = added or {name: self.parameters[name][:0] for name in ROWS}
+        added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
         if not keep.any() and not count:
             keep = np.arange(len(keep)) == 0
-        self.change_rows(ROWS, keep, added)
+        self.change_rows(density.ROWS, keep, added)
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)
         if self.box:
