@@ -1,8 +1,7 @@
-"""Every constant of training by name: the two settings of the paper and three small ones.
+"""Every constant of training by name: the two presets of the paper and three small ones.
 
-`Preset` is a table with one row a field. From it follow what `choose` accepts, the values of
-`tiny`, and what `initial.design_of` puts into a file. `differences(preset)` lists what a preset
-changes.
+A preset is a column: `Preset` holds that of `paper_synthetic` with the source of every value, and
+the others say what differs. `p4dgs-ref presets tiny` prints them side by side.
 """
 
 from collections.abc import Mapping
@@ -39,15 +38,13 @@ RATE = (
     ),
 )
 STEP = between(2.0**-40, 2.0**40)
-FLAG = ("true or false", lambda value: True)
 ENDS = (
     "four rising iterations",
     lambda ends: len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE,
 )
 GROWING = ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off"))
 
-# Where values of the paper's presets come from, with the number of the choice in
-# tutorials/reference.md. A rate has two values, the first and the last.
+# Sources, with the number of the choice in tutorials/reference.md.
 AS_PARENTS = "off, as the parents (Q28)"
 SCAFFOLD_Q15, SCAFFOLD_Q16 = "Scaffold-GS (Q15, Q16)", "Scaffold-GS (Q16)"
 LAST_SCAFFOLD, LAST_HAC = "paper; last: Scaffold-GS (Q17)", "paper; last: HAC (Q17)"
@@ -57,98 +54,80 @@ HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 HAC_2D = (130, 258, 514, 1026)
 
 
-def row(paper, tiny, requirement, source, meaning) -> Any:
-    """A field of the table whose value in `paper_synthetic` is the default."""
-    columns = {"tiny": tiny, "requirement": requirement, "source": source, "meaning": meaning}
-    return field(default=paper, metadata=columns)
+def row(paper, source="paper", requirement=NOT_NEGATIVE) -> Any:
+    """A field: its value in `paper_synthetic`, where that comes from, and what values it may have.
+
+    A requirement is a text and a test.
+    """
+    return field(default=paper, metadata={"source": source, "requirement": requirement})
 
 
 @dataclass(frozen=True)
 class Preset:
-    """The table of all fields. A file stores those that `model.Design` has, too.
+    """All fields with their values in `paper_synthetic`.
 
-    name: type = row(in paper_synthetic, in tiny, requirement, source of the former, meaning)
-
-    A requirement is a text and a test.
+    A file stores those that `model.Design` has, too.
     """
 
     name: str = "paper_synthetic"
     # architecture
-    anchors: int = row(10_000, 200, POSITIVE, "Scaffold-GS (Q28)", "random points at the start")
-    extent: float = row(1.3, 1.0, POSITIVE, "Scaffold-GS (Q28)", "in [-extent, extent]^3")
-    voxel: float = row(0.001, 0.001, POSITIVE, "paper", "epsilon: points merge on this lattice")
-    d: int = row(16, 16, between(1, MAX_OF["d"]), "paper", "width of a feature")
-    k: int = row(10, 4, between(1, MAX_OF["k"]), "paper", "children of an anchor")
-    hidden: tuple = row(
-        (32, 32), (32, 32), layers(MAX_LAYERS), "paper", "of anchor networks: 2 layers of 2d"
-    )
-    deformation: tuple = row(
-        (192, 192), (64, 64), layers(MAX_LAYERS), "paper (Q1)", "hidden widths of psi_d"
-    )
-    L_x: int = row(10, 4, between(1, MAX_OF["L_x"]), "D3DGS (Q2)", "frequencies of x")
-    L_t: int = row(6, 4, between(1, MAX_OF["L_t"]), "D3DGS (Q2)", "frequencies of t")
-    context: tuple = row(
-        (32, 32), (16, 16), layers(MAX_LAYERS), "paper", "psi_p and psi_q: two layers of 2d"
-    )
-    grid_3d: tuple = row(HAC_3D, (8,), layers(16), "HAC (Q11)", "resolutions")
-    grid_2d: tuple = row(HAC_2D, (16,), layers(16), "HAC (Q11)", "resolutions in each plane")
-    table_3d: int = row(
-        2**13, 2**13, between(1, MAX_ENTRIES), "HAC (Q11)", "most nodes of a 3D level"
-    )
-    table_2d: int = row(
-        2**15, 2**15, between(1, MAX_ENTRIES), "HAC (Q11)", "most nodes of a 2D level"
-    )
-    F: int = row(4, 2, between(1, MAX_OF["F"]), "HAC (Q11)", "bits of a node")
-    tau_alpha: float = row(0.0, 0.0, between(0, 1), "Scaffold-GS (Q4)", "least opacity drawn")
-    feature_std: float = row(0.0, 0.1, NOT_NEGATIVE, "Scaffold-GS (Q28)", "of the initial features")
-    opacity_bias: float = row(0.0, 0.3, NOT_NEGATIVE, AS_PARENTS, "added to psi_alpha's last bias")
-    upright: bool = row(False, True, FLAG, AS_PARENTS, "psi_r's last bias is (1, 0, 0, 0) at first")
-    deformation_gain: float = row(1.0, 0.01, NOT_NEGATIVE, AS_PARENTS, "of psi_d's heads at first")
+    anchors: int = row(10_000, "Scaffold-GS (Q28)", POSITIVE)  # random points at the start
+    extent: float = row(1.3, "Scaffold-GS (Q28)", POSITIVE)  # they are in [-extent, extent]^3
+    voxel: float = row(0.001, requirement=POSITIVE)  # epsilon: points merge on this lattice
+    d: int = row(16, requirement=between(1, MAX_OF["d"]))  # width of a feature
+    k: int = row(10, requirement=between(1, MAX_OF["k"]))  # children of an anchor
+    hidden: tuple = row((32, 32), requirement=layers(MAX_LAYERS))  # of anchor networks: 2 of 2d
+    deformation: tuple = row((192, 192), "paper (Q1)", layers(MAX_LAYERS))  # hidden widths of psi_d
+    L_x: int = row(10, "D3DGS (Q2)", between(1, MAX_OF["L_x"]))  # frequencies of x
+    L_t: int = row(6, "D3DGS (Q2)", between(1, MAX_OF["L_t"]))  # frequencies of t
+    context: tuple = row((32, 32), requirement=layers(MAX_LAYERS))  # of psi_p and psi_q: 2 of 2d
+    grid_3d: tuple = row(HAC_3D, "HAC (Q11)", layers(16))  # resolutions
+    grid_2d: tuple = row(HAC_2D, "HAC (Q11)", layers(16))  # resolutions in each plane
+    table_3d: int = row(2**13, "HAC (Q11)", between(1, MAX_ENTRIES))  # most nodes of a 3D level
+    table_2d: int = row(2**15, "HAC (Q11)", between(1, MAX_ENTRIES))  # most nodes of a 2D level
+    F: int = row(4, "HAC (Q11)", between(1, MAX_OF["F"]))  # bits of a node
+    tau_alpha: float = row(0.0, "Scaffold-GS (Q4)", between(0, 1))  # least opacity drawn
+    feature_std: float = row(0.0, "Scaffold-GS (Q28)")  # of the initial features
+    opacity_bias: float = row(0.0, AS_PARENTS)  # added to psi_alpha's last bias
+    upright: bool = row(False, AS_PARENTS)  # whether psi_r's last bias is (1, 0, 0, 0) at first
+    deformation_gain: float = row(1.0, AS_PARENTS)  # of psi_d's heads at first
     # quantisation and rate
-    Q_f: float = row(1.0, 0.25, STEP, "paper", "base step of f")
-    Q_s: float = row(0.001, 0.01, STEP, "paper", "base step of s")
-    Q_l: float = row(0.001, 0.01, STEP, "paper", "base step of l")
-    Q_O: float = row(0.2, 0.1, STEP, "paper", "base step of O")
-    lambda_rate: float = row(1e-3, 5e-4, NOT_NEGATIVE, "HAC (Q12)", "weight of the rate")
+    Q_f: float = row(1.0, requirement=STEP)  # base step of f
+    Q_s: float = row(0.001, requirement=STEP)  # base step of s
+    Q_l: float = row(0.001, requirement=STEP)  # base step of l
+    Q_O: float = row(0.2, requirement=STEP)  # base step of O
+    lambda_rate: float = row(1e-3, "HAC (Q12)")  # weight of the rate
     # stages and loss
-    stage_ends: tuple = row(
-        (3000, 5000, 10_000, 40_000),
-        (200, 300, 1800, 3800),
-        ENDS,
-        "paper",
-        "iterations at which stages 1 to 4 end",
-    )
-    lambda_ssim: float = row(0.2, 0.2, between(0, 1), "3DGS (Q13)", "weight of D-SSIM")
+    stage_ends: tuple = row((3000, 5000, 10_000, 40_000), requirement=ENDS)  # of stages 1 to 4
+    lambda_ssim: float = row(0.2, "3DGS (Q13)", between(0, 1))  # weight of D-SSIM
     # learning rates: first and last, geometric over all iterations from `decay_from` on
-    decay_from: int = row(0, 1800, NOT_NEGATIVE, "ours (Q17)", "first iteration of the decay")
-    lr_x: tuple = row((0.0, 0.0), (0.002, 2e-4), RATE, "Scaffold-GS (Q14)", "positions")
-    lr_f: tuple = row((0.0075, 0.0075), (0.015, 1.5e-3), RATE, LAST_SCAFFOLD, "features")
-    lr_s: tuple = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log s")
-    lr_l: tuple = row((0.007, 0.007), (0.014, 1.4e-3), RATE, LAST_SCAFFOLD, "log l")
-    lr_O: tuple = row((0.01, 1e-4), (0.02, 1e-3), RATE, LAST_SCAFFOLD, "offsets")
-    lr_alpha: tuple = row((0.002, 2e-5), (0.001, 4e-5), RATE, LAST_SCAFFOLD, "psi_alpha")
-    lr_c: tuple = row((0.008, 5e-5), (0.008, 1.6e-4), RATE, LAST_SCAFFOLD, "psi_c")
-    lr_r: tuple = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_r")
-    lr_psi_s: tuple = row((0.004, 0.004), (0.008, 3.2e-4), RATE, LAST_SCAFFOLD, "psi_s")
-    lr_d: tuple = row((1.6e-4, 1.6e-6), (0.002, 4e-5), RATE, "paper; last: D3DGS (Q17)", "psi_d")
-    lr_grid: tuple = row((0.0016, 1e-5), (0.01, 1e-3), RATE, LAST_HAC, "hash grid")
-    lr_p: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_p")
-    lr_q: tuple = row((0.005, 1e-5), (0.005, 2e-4), RATE, LAST_HAC, "psi_q")
+    decay_from: int = row(0, "ours (Q17)")
+    lr_x: tuple = row((0.0, 0.0), "Scaffold-GS (Q14)", RATE)  # positions
+    lr_f: tuple = row((0.0075, 0.0075), LAST_SCAFFOLD, RATE)
+    lr_s: tuple = row((0.007, 0.007), LAST_SCAFFOLD, RATE)  # of log s
+    lr_l: tuple = row((0.007, 0.007), LAST_SCAFFOLD, RATE)  # of log l
+    lr_O: tuple = row((0.01, 1e-4), LAST_SCAFFOLD, RATE)
+    lr_alpha: tuple = row((0.002, 2e-5), LAST_SCAFFOLD, RATE)  # of psi_alpha
+    lr_c: tuple = row((0.008, 5e-5), LAST_SCAFFOLD, RATE)
+    lr_r: tuple = row((0.004, 0.004), LAST_SCAFFOLD, RATE)
+    lr_psi_s: tuple = row((0.004, 0.004), LAST_SCAFFOLD, RATE)
+    lr_d: tuple = row((1.6e-4, 1.6e-6), "paper; last: D3DGS (Q17)", RATE)
+    lr_grid: tuple = row((0.0016, 1e-5), LAST_HAC, RATE)
+    lr_p: tuple = row((0.005, 1e-5), LAST_HAC, RATE)
+    lr_q: tuple = row((0.005, 1e-5), LAST_HAC, RATE)
     # growing, pruning and masking
-    grow: str = row("scaffold", "reseed", GROWING, SCAFFOLD_Q16, "how anchors grow")
-    grow_from: int = row(1500, 100, NOT_NEGATIVE, SCAFFOLD_Q16, "last iteration without growing")
-    grow_every: int = row(100, 100, POSITIVE, SCAFFOLD_Q16, "iterations of a window")
-    grow_until: int = row(15_000, 1500, NOT_NEGATIVE, SCAFFOLD_Q16, "first without growing")
-    collect_from: int = row(500, 0, NOT_NEGATIVE, SCAFFOLD_Q16, "first iteration in the statistics")
-    gradient_threshold: float = row(
-        2e-4, 2e-4, NOT_NEGATIVE, SCAFFOLD_Q16, "of projected centres, to grow"
-    )
-    grow_init: int = row(16, 16, POSITIVE, "paper", "coarsest voxel for growing, in epsilon")
-    grow_hierarchy: int = row(4, 4, POSITIVE, SCAFFOLD_Q16, "ratio of voxels of two levels")
-    grow_depth: int = row(3, 3, between(0, 16), SCAFFOLD_Q16, "levels of growing")
-    success: float = row(0.8, 0.8, NOT_NEGATIVE, SCAFFOLD_Q15, "share of a window to be judged")
-    min_opacity: float = row(0.005, 0.03, NOT_NEGATIVE, SCAFFOLD_Q15, "below it an anchor is dead")
-    mask_from: int = row(5000, 1800, NOT_NEGATIVE, "ours (Q15)", "first iteration with masking")
+    grow: str = row("scaffold", SCAFFOLD_Q16, GROWING)
+    grow_from: int = row(1500, SCAFFOLD_Q16)  # the last iteration without growing
+    grow_every: int = row(100, SCAFFOLD_Q16, POSITIVE)  # iterations of a window
+    grow_until: int = row(15_000, SCAFFOLD_Q16)  # the first iteration without growing
+    collect_from: int = row(500, SCAFFOLD_Q16)  # the first iteration in the statistics
+    gradient_threshold: float = row(2e-4, SCAFFOLD_Q16)  # of projected centres, to grow
+    grow_init: int = row(16, requirement=POSITIVE)  # coarsest voxel for growing, in epsilon
+    grow_hierarchy: int = row(4, SCAFFOLD_Q16, POSITIVE)  # ratio of the voxels of two levels
+    grow_depth: int = row(3, SCAFFOLD_Q16, between(0, 16))  # levels of growing
+    success: float = row(0.8, SCAFFOLD_Q15)  # share of a window that it takes to be judged
+    min_opacity: float = row(0.005, SCAFFOLD_Q15)  # below it an anchor is dead
+    mask_from: int = row(5000, "ours (Q15)")  # the first iteration with masking
 
     @property
     def iterations(self) -> int:
@@ -161,7 +140,7 @@ class Preset:
 
 
 def rows_of(preset):
-    """The rows {name: field} of a preset or of its class; `metadata` has the columns of a row."""
+    """The rows {name: field} of a preset or of its class; `metadata` has a field's source."""
     return {row.name: row for row in fields(preset) if row.metadata}
 
 
@@ -176,7 +155,49 @@ PAPER_REAL = Preset(
     stage_ends=(3000, 4000, 10_000, 20_000),
     mask_from=4000,
 )
-TINY = Preset(name="tiny", **{name: row.metadata["tiny"] for name, row in rows_of(Preset).items()})
+TINY = Preset(
+    name="tiny",
+    anchors=200,
+    extent=1.0,
+    k=4,
+    deformation=(64, 64),
+    L_x=4,
+    L_t=4,
+    context=(16, 16),
+    grid_3d=(8,),
+    grid_2d=(16,),
+    F=2,
+    feature_std=0.1,
+    opacity_bias=0.3,
+    upright=True,
+    deformation_gain=0.01,
+    Q_f=0.25,
+    Q_s=0.01,
+    Q_l=0.01,
+    Q_O=0.1,
+    lambda_rate=5e-4,
+    stage_ends=(200, 300, 1800, 3800),
+    decay_from=1800,
+    lr_x=(0.002, 2e-4),
+    lr_f=(0.015, 1.5e-3),
+    lr_s=(0.014, 1.4e-3),
+    lr_l=(0.014, 1.4e-3),
+    lr_O=(0.02, 1e-3),
+    lr_alpha=(0.001, 4e-5),
+    lr_c=(0.008, 1.6e-4),
+    lr_r=(0.008, 3.2e-4),
+    lr_psi_s=(0.008, 3.2e-4),
+    lr_d=(0.002, 4e-5),
+    lr_grid=(0.01, 1e-3),
+    lr_p=(0.005, 2e-4),
+    lr_q=(0.005, 2e-4),
+    grow="reseed",
+    grow_from=100,
+    grow_until=1500,
+    collect_from=0,
+    min_opacity=0.03,
+    mask_from=1800,
+)
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests; published files were made with its learning rates.
@@ -232,8 +253,7 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
         if preset not in PRESETS:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
-    defaults = {name: row.default for name, row in rows_of(preset).items()}
-    changed = replace(preset, **read_changes(preset.name, defaults, changes))
+    changed = replace(preset, **read_changes(preset, changes))
     for name, row in rows_of(preset).items():
         (expected, is_met), value = row.metadata["requirement"], getattr(changed, name)
         if not is_met(value):
@@ -251,24 +271,24 @@ def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Pr
     return changed
 
 
-def read_changes(name, defaults, changes):
-    """The values {field: value} of changes to the preset of that name.
-
-    `defaults` has a value of every field.
+def read_changes(preset, changes):
+    """The values {field: value} of changes to a preset, with the types of its values.
 
     Raises ValueError for an unknown field, and for a value of another type.
     """
     values = {}
     for key, value in (changes or {}).items():
-        if key == "name" or key not in defaults:
+        if key == "name" or key not in vars(preset):
             raise ValueError(
-                f"field {key!r} of preset {name}: no such field; `p4dgs-ref presets` lists them"
+                f"field {key!r} of preset {preset.name}: no such field; `p4dgs-ref presets` lists "
+                "them"
             )
+        like = getattr(preset, key)
         try:
-            values[key] = read_value(value, defaults[key])
+            values[key] = read_value(value, like)
         except (ValueError, KeyError, TypeError):
             raise ValueError(
-                f"field {key!r}: expected a value like {defaults[key]!r}, got {value!r}"
+                f"field {key!r}: expected a value like {like!r}, got {value!r}"
             ) from None
     return values
 
