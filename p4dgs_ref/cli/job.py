@@ -282,8 +282,6 @@ def inspect(arguments):
         with filled(arguments.output, arguments.file) as staging:
             figures.write_csv(staging / "sections.csv", rows)
             figures.draw_ledger(staging / "sections.png", rows)
-            model, bits = sizes.anchor_bits(data)
-            figures.write_heat(staging, model, bits, figures.held_camera(model))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 

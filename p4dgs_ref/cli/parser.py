@@ -246,7 +246,7 @@ GROUPS = {
             (
                 FILE,
                 JSON,
-                output("folder for the table and pictures, also of what each anchor costs"),
+                output("folder for the table and the picture"),
             ),
         ),
         "view": (
