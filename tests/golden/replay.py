@@ -18,7 +18,7 @@ from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import FIELDS, Preset
+from p4dgs_ref.training.presets import Preset, rows_of
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of
@@ -97,7 +97,7 @@ UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deform
 # What the vectors switch off and no preset can switch on, at its place among the settings.
 OFF_AFTER = {"deformation": {"time_net": (), "skip": False}, "lambda_ssim": {"lambda_volume": 0.0}}
 SETTINGS = {}
-for field in FIELDS:
+for field in rows_of(PRESET):
     if field not in UNUSED:
         SETTINGS |= {field: getattr(PRESET, field), **OFF_AFTER.get(field, {})}
 
@@ -150,7 +150,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in FIELDS})
+    preset = replace(PRESET, **{n: v for n, v in settings.items() if n in rows_of(PRESET)})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = Replayed(scene, preset, settings=EXACT)
     p, m, v = (
@@ -194,7 +194,7 @@ def steps(u, views, iteration, effects, draws=(), **inputs):
     settings = {name: inputs.pop(name) for name in SETTINGS}
     trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
     trainer.rng = GivenNumbers(u, draws)
-    trainer.order = [*views[::-1]]
+    trainer.order = views[::-1]
     for _ in views:
         rates = [trainer.rate_of(name) for name in ARRAYS]
         losses = trainer.step()[0]
