@@ -4,7 +4,6 @@ A random view, its loss and gradients, a check for NaN, a step of Adam, and dens
 trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
 """
 
-from copy import copy
 from functools import lru_cache
 
 import numpy as np
@@ -55,9 +54,11 @@ def assemble(p, design, mask, box, background):
 
 
 def tagged(named, tag):
-    """Copies of the values whose names begin with the tag, by the rest of their names."""
+    """Copies of the arrays whose names begin with the tag, by the rest of their names."""
     return {
-        name.removeprefix(tag): copy(value) for name, value in named.items() if name.startswith(tag)
+        name.removeprefix(tag): value.copy()
+        for name, value in named.items()
+        if name.startswith(tag)
     }
 
 
@@ -78,7 +79,7 @@ class Trainer:
     def begin(self, points):
         """Draw the first parameters; anchors start at points [A, 3], or at random without them."""
         self.design = design_of(self.preset, self.scene.effects)
-        self.box: tuple = ()  # the corners of the bounding box, fixed when stage 4 starts
+        self.box = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
@@ -240,8 +241,7 @@ class Trainer:
         """
         added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
-        if not keep.any() and not count:
-            keep = np.arange(len(keep)) == 0
+        keep[0] |= not (keep.any() or count)
         self.change_rows(density.ROWS, keep, added)
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)

@@ -84,7 +84,7 @@ def find_first(inputs):
             name = "backward, gradient of"
         phrases.append(first_bad(value, f"{where}, {name}: "))
 
-    with np.errstate(all="ignore"), watching(equation_codes(), see):
+    with watching(equation_codes(), see):
         losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [
