@@ -30,17 +30,8 @@ class Progress:
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
         if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
-            trainer.history.append(
-                [
-                    done,
-                    stage,
-                    losses.L_total,
-                    decibel,
-                    losses.L_rate,
-                    trainer.primitives,
-                    len(rendered.index),
-                ]
-            )
+            counts = trainer.primitives, len(rendered.index)
+            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1
         seconds = time.monotonic() - self.shown
         due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
