@@ -45,9 +45,9 @@ class Parameters:
             self[f"{name}.W{i}"][...] = W
             self[f"{name}.b{i}"][...] = b
 
-    def per_element(self, value_of):
-        """A vector with `value_of(name)` at every element of each array."""
-        values = np.array([value_of(name) for name in self.arrays], self.vector.dtype)
+    def per_element(self, number_of):
+        """A vector with `number_of(name)` at every element of each array."""
+        values = np.array([number_of(name) for name in self.arrays], self.vector.dtype)
         return np.repeat(values, [array.size for array in self.arrays.values()])
 
     def with_rows(self, names, keep, extra):

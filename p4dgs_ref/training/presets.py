@@ -121,6 +121,7 @@ SOURCES = by_field(
         "mask_from": "ours (Q15)",
     }
 )
+
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
     name="paper_real",

@@ -14,7 +14,7 @@ from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
 from .parameters import Adam, Parameters, exponential
-from .watch import NotFinite, find_first, first_bad
+from .watch import NotFinite, first_bad, first_not_finite
 
 # Bytes of moments for SSIM that are kept: those of 682 views of 64x64, of 4 of 800x800.
 MAX_MOMENT_BYTES = 2**28
@@ -188,7 +188,7 @@ class Trainer:
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, rendered.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(f"iteration {self.iteration}: {find_first(inputs)}")
+            raise NotFinite(f"iteration {self.iteration}: {first_not_finite(inputs)}")
         return losses, rendered, gradients, mean2d_bar
 
     def freeze_positions(self):

@@ -1,6 +1,6 @@
 """Watches calls of functions from outside, for the first NaN, for counts and for times.
 
-Nothing is replaced, and outside the `with` block nothing is slower. `find_first` runs an iteration
+Nothing is replaced, and outside the `with` block nothing is slower. `first_not_finite` runs an iteration
 again to name the equation, array and index that was the first to be NaN or infinite.
 """
 
@@ -66,7 +66,7 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(inputs):
+def first_not_finite(inputs):
     """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
