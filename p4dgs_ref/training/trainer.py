@@ -143,7 +143,7 @@ class Trainer:
         return self.scene.train[self.order.pop()]
 
     def rate_of(self, name):
-        """The current learning rate of a name of `learning_rates`; 0 where the stage has none."""
+        """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
         if self.stage < FIRST_STAGE.get(name, 1) or name == "x_a" and self.stage == 4:
             return 0.0
         return exponential(

@@ -1,7 +1,7 @@
 """Watches calls of functions from outside, for the first NaN, for counts and for times.
 
-Nothing is replaced, and outside the `with` block nothing is slower. `first_not_finite` runs an iteration
-again to name the equation, array and index that was the first to be NaN or infinite.
+Nothing is replaced, and outside the `with` block nothing is slower. `first_not_finite` runs an
+iteration again to name the equation, array and index that was the first to be NaN or infinite.
 """
 
 import sys
