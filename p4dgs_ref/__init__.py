@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .scenes.simulator import simulate
     from .splatting.camera import Camera, look_at
     from .splatting.settings import SETTINGS
-    from .table import EQUATIONS
+    from .splatting.table import EQUATIONS
     from .training.fit import train
     from .training.presets import PRESETS
 
@@ -58,7 +58,7 @@ __all__ = [
 ]
 
 _HOME = {
-    "EQUATIONS": "table",
+    "EQUATIONS": "splatting.table",
     "PRESETS": "training.presets",
     "SETTINGS": "splatting.settings",
     "BitstreamError": "codec.container",

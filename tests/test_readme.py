@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref import table
 from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import numerics, prior, step
@@ -31,6 +30,7 @@ from p4dgs_ref.report.evaluate import (
     explicit_bytes,
 )
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
+from p4dgs_ref.splatting import table
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import EPSILON

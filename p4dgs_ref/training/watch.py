@@ -6,12 +6,11 @@ again to name the equation, array and index that was the first to be NaN or infi
 
 import sys
 from contextlib import contextmanager
-from importlib import import_module
 
 import numpy as np
 
 from ..splatting import fast
-from ..table import EQUATIONS
+from ..splatting.table import EQUATIONS
 
 
 def equation_codes():
@@ -19,7 +18,7 @@ def equation_codes():
 
     The fast renderer has the key "compositing, fast".
     """
-    modules = {key: import_module(eq.module) for key, eq in EQUATIONS.items()}
+    modules = {key: eq.module for key, eq in EQUATIONS.items()}
     modules["compositing, fast"] = fast
     return {
         getattr(module, name).__code__: (key, name)

@@ -11,18 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
+from p4dgs_ref.designs import encode, quantised_of
 from scipy.special import ndtr
 
 from p4dgs_ref import lessons
-from p4dgs_ref.designs import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
+from p4dgs_ref.training.progress import psnr
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"

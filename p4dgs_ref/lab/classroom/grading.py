@@ -20,7 +20,7 @@ from ...oracle.report import name_of
 from ...output import filled
 from ...report.figures import write_csv
 from ...scenes.fields import printable
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from ..writer import text_table
 from .held_back import cases, is_ordinary
 from .room import (

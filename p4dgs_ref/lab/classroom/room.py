@@ -14,7 +14,7 @@ from ...lessons import tutorial_of
 from ...limits import MAX_STUDENT_BYTES
 from ...oracle.report import name_of
 from ...output import filled
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 
 # Functions that contain the answer as well. They are removed together with forward and backward.
 HELPERS = {
@@ -116,7 +116,7 @@ def text_of(path):
 # --- the files that students get ------------------------------------------------------------------
 def modules_of(key):
     """Return {file name without .py: module} of an equation."""
-    package = EQUATIONS[key].module.rpartition(".")[0]
+    package = EQUATIONS[key].module.__package__
     return {name: f"{package}.{name}" for name in (key, *OTHER_MODULES.get(key, ()))}
 
 

@@ -28,7 +28,7 @@ from p4dgs_ref.lab.classroom.student import ALIKE, alike, copies, joined, same_l
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting import loop
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests import processes
 from tests.sampling import few
 
@@ -412,9 +412,9 @@ REFUSED = {
     "from . import offsets": "p4dgs_ref.equations.offsets",
     "from .offsets import forward": "p4dgs_ref.equations.offsets",
     "import p4dgs_ref.equations.offsets": "p4dgs_ref.equations.offsets",
-    "from ..table import EQUATIONS": "p4dgs_ref.table",
+    "from ..splatting.table import EQUATIONS": "p4dgs_ref.splatting.table",
     "from p4dgs_ref import model": "p4dgs_ref.model",
-    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.table",
+    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.splatting.table",
     "import importlib; importlib.import_module('p4dgs_ref.oracle')": "p4dgs_ref.oracle",
     "__import__('p4dgs_ref.lab.classroom.held_back')": "p4dgs_ref.lab",
     "import sys; sys.modules['p4dgs_ref.equations.offsets']": "KeyError",
