@@ -224,7 +224,7 @@ GROUPS = {
                     "--settings",
                     default="fast",
                     metavar="NAME",
-                    help="of the renderer: exact, paper or fast (fast)",
+                    help="of the renderer: exact, kernel or fast (fast)",
                 ),
             ),
         ),

@@ -1,4 +1,4 @@
-"""The renderer's constants, and three named settings of accuracy and time: exact, paper, fast."""
+"""The renderer's constants, and three named settings of accuracy and time: exact, kernel, fast."""
 
 from typing import NamedTuple
 
@@ -27,8 +27,8 @@ class Settings(NamedTuple):
 
 
 EXACT = Settings("exact", "all", "float64")
-PAPER = Settings(
-    "paper",
+KERNEL = Settings(
+    "kernel",
     "box",
     "float32",
     tile=16,
@@ -43,4 +43,4 @@ PAPER = Settings(
 # pairs than one of 1e-4.
 FAST = Settings("fast", "ellipse", "float32", cut=5e-5, stop=1e-4)
 
-SETTINGS = {settings.name: settings for settings in (EXACT, PAPER, FAST)}
+SETTINGS = {settings.name: settings for settings in (EXACT, KERNEL, FAST)}

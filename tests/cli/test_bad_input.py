@@ -319,7 +319,7 @@ LINES = [
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
-    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, paper, fast")),
+    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, kernel, fast")),
     *(
         (f"render good.p4dgs -o new --scene scene {option} 3", (option, "without --scene"))
         for option in ("--azimuth", "--elevation", "--distance", "--size", "--frames")

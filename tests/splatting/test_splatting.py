@@ -9,7 +9,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.random_inputs import random_splats
 from p4dgs_ref.splatting import compositing, covariance, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from tests import ROOT
 from tests.golden import needles
 
@@ -144,7 +144,7 @@ def test_ellipse_test_is_exact():
     assert superfluous <= 0.001 * len(listed)
 
 
-@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("settings", [EXACT, KERNEL, FAST])
 @pytest.mark.parametrize("hidden", ["not visible", "off the image", "transparent"])
 def test_nothing_to_draw_gives_the_background(hidden, settings):
     inputs = splats(5, 9, 14)
@@ -161,7 +161,7 @@ def test_nothing_to_draw_gives_the_background(hidden, settings):
 
 
 @pytest.mark.parametrize("occlusion", [True, False])
-@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("settings", [EXACT, KERNEL, FAST])
 def test_without_gradients_the_picture_is_the_same(settings, occlusion):
     inputs = splats(300, 90, 120, seed=13, alpha=(0.4, 1.0))
     (image, T), saved = fast.forward(**inputs, settings=settings, occlusion=occlusion)
@@ -172,7 +172,7 @@ def test_without_gradients_the_picture_is_the_same(settings, occlusion):
     assert saved[0] and nothing is None
 
 
-@pytest.mark.parametrize("settings", [EXACT, PAPER, FAST])
+@pytest.mark.parametrize("settings", [EXACT, KERNEL, FAST])
 @pytest.mark.parametrize("wrong", [np.nan, -0.3])
 def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
     """Lists of tiles would leave such a Gaussian out in silence, and the exact twin would not."""
