@@ -124,7 +124,7 @@ def write_atomically(path, write):
 
 
 @contextmanager
-def made(path):
+def writable_folder(path):
     """Make the folder `path` and prove that it can be written to, before any long work begins.
 
     If the work fails, the folders that were made for it are removed again where they are empty.
@@ -149,12 +149,12 @@ def made(path):
 
 
 @contextmanager
-def filled(path, reads=None):
+def staged_folder(path, reads=None):
     """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
     After an error nothing is moved. None of them may take the place of the file `reads`.
     """
-    with made(path) as folder, new_part(folder) as part:
+    with writable_folder(path) as folder, new_part(folder) as part:
         sweep(folder)
         yield part
         files = files_in(part)
@@ -169,7 +169,7 @@ def filled(path, reads=None):
 
 @contextmanager
 def new_file(path, *reads, start=b""):
-    """Prove that the file `path` can be written; its folder is made as in `made`.
+    """Prove that the file `path` can be written; its folder is made as in `writable_folder`.
 
     It must be none of the files `reads`, from which it is made; None stands for no file. An old
     file must be empty or begin with `start`, as the new one does.
@@ -181,11 +181,11 @@ def new_file(path, *reads, start=b""):
         with open(target, "rb") as old:
             if old.read(len(start)) not in (b"", start):
                 raise OutputError(f"{path}: a file of another kind; expected a new name")
-    with made(target.parent):
+    with writable_folder(target.parent):
         yield Path(path)
 
 
-def absent(path, remedy="delete it, or name another folder"):
+def refuse_existing(path, remedy="delete it, or name another folder"):
     """Refuse to train where another training has left the file `path`.
 
     Raises OSError for a name that the file system does not take.

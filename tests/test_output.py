@@ -10,9 +10,9 @@ import p4dgs_ref as p4
 from p4dgs_ref import output
 from p4dgs_ref.output import (
     OutputError,
-    filled,
     locked,
     new_file,
+    staged_folder,
     write_atomically,
 )
 
@@ -40,7 +40,7 @@ def write_file(path):
 
 
 def write_folder(path):
-    with filled(path.parent) as staging:
+    with staged_folder(path.parent) as staging:
         (staging / "a first file").write_bytes(b"new")
         (staging / path.name).write_bytes(b"new")
 

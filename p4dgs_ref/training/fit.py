@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from .. import effects as fx
 from ..limits import MAX_CHECKPOINT_BYTES
 from ..model import Model
-from ..output import absent, destination, locked, write_atomically
+from ..output import destination, locked, refuse_existing, write_atomically
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings
@@ -64,7 +64,7 @@ def run(trainer, folder=None, resume=False, stream=None, save_every=SAVE_EVERY):
             if resume and folder is not None:
                 go_on(trainer, folder, common)
             elif folder is not None:
-                absent(Path(folder) / CHECKPOINT, GO_ON)
+                refuse_existing(Path(folder) / CHECKPOINT, GO_ON)
 
             def keep():
                 if folder is not None:

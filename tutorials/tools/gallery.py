@@ -177,7 +177,7 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as staging:
+    with output.staged_folder(pictures) as staging:
         for name in renewed:
             (staging / name).write_bytes(in_few_bytes(figures[name]))
     return renewed

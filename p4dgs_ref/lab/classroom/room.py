@@ -13,7 +13,7 @@ from pathlib import Path
 from ...lessons import tutorial_of
 from ...limits import MAX_STUDENT_BYTES
 from ...oracle.report import name_of
-from ...output import filled
+from ...output import staged_folder
 from ...splatting.table import EQUATIONS
 
 # Functions that contain the answer as well. They are removed together with forward and backward.
@@ -70,7 +70,7 @@ def hand_out(folder, only=None):
     for key in new:
         files |= {f"student/{name}.py": text for name, text in stubs_of(key).items()}
         files |= {f"key/{name}.py": text for name, text in sources_of(key).items()}
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         for name, text in files.items():
             (staging / name).parent.mkdir(exist_ok=True)
             (staging / name).write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...output import filled, new_file
+from ...output import new_file, staged_folder
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
 from ..files import write_image
@@ -42,7 +42,7 @@ def simulate(
         for split, posed in views.items()
         for i, view in enumerate(posed)
     ]
-    with new_file(Path(out_dir) / "scene.json", source), filled(out_dir) as folder:
+    with new_file(Path(out_dir) / "scene.json", source), staged_folder(out_dir) as folder:
         (folder / "scene.json").write_text(text, encoding="utf-8")
         for split, posed in views.items():
             (folder / split).mkdir()
