@@ -21,9 +21,8 @@ from functools import partial
 
 import numpy as np
 
-from ..limits import MAX_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, choice, fields, list_of, numbers, require, shown, text
+from .fields import MAX_LENS, REQUIRED, choice, fields, list_of, numbers, require, shown, text
 from .files import read_image, read_json, shrink
 from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from ..limits import cut
 
+MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
+MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
 REQUIRED = object()  # the default of a field that must be there
 KINDS = {int: (int, np.integer), float: (int, np.integer, float, np.floating)}
 

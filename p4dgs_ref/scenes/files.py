@@ -23,18 +23,13 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from ..limits import (
-    MAX_ANCHORS,
-    MAX_COORDINATE,
-    MAX_FILE_BYTES,
-    MAX_HEADER_BYTES,
-    MAX_JSON_BYTES,
-    MAX_PICTURE,
-)
+from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
 from ..output import write_atomically
-from .fields import SceneError, require
+from .fields import MAX_COORDINATE, SceneError, require
 from .scene import as_float, over_background, size_of
 
+MAX_JSON_BYTES = 2**27  # a view takes about 500
+MAX_PICTURE = 2**27  # pixels times channels of a picture
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
     "or a HyperNeRF or NeRF-DS folder with dataset.json"

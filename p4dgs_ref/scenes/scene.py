@@ -11,9 +11,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..limits import MAX_COORDINATE, MAX_LENS, MIN_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, choice, fields, list_of, numbers, printable, require
+from .fields import (
+    MAX_COORDINATE,
+    MAX_LENS,
+    MIN_LENS,
+    REQUIRED,
+    choice,
+    fields,
+    list_of,
+    numbers,
+    printable,
+    require,
+)
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (

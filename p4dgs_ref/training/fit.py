@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import effects as fx
-from ..limits import MAX_CHECKPOINT_BYTES
 from ..model import Model
 from ..output import destination, locked, refuse_existing, write_atomically
 from ..scenes.scene import Scene
@@ -40,6 +39,7 @@ TIMES = 9  # the model is drawn at so many; the median of these pictures shows i
 MAX_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
 MIN_GAIN = 3.0  # dB above the mean of the training pictures, where something moves
 CHECKPOINT = "checkpoint.npz"
+MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 GO_ON = "--resume (resume=True) goes on from it, another folder starts anew"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 4, fields {[row.name for row in fields(Preset)]}".encode()

@@ -20,8 +20,8 @@ from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
-from p4dgs_ref.scenes.files import write_ply
-from p4dgs_ref.training.fit import fit, load_checkpoint
+from p4dgs_ref.scenes.files import MAX_JSON_BYTES, write_ply
+from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
 from tests.sampling import few
@@ -371,9 +371,9 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
 LARGE = {
     "train bouncing -o new --preset smoke --points x.ply": ("x.ply", limits.MAX_FILE_BYTES),
     "train bouncing -o new --preset smoke --points x.npy": ("x.npy", limits.MAX_FILE_BYTES),
-    "encode . -o new": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
-    "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
-    "demo . -o new": ("transforms_train.json", limits.MAX_JSON_BYTES),
+    "encode . -o new": ("checkpoint.npz", MAX_CHECKPOINT_BYTES),
+    "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", MAX_CHECKPOINT_BYTES),
+    "demo . -o new": ("transforms_train.json", MAX_JSON_BYTES),
 }
 
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import run
 from p4dgs_ref.lab import classroom
 from p4dgs_ref.lab.classroom import student
 from p4dgs_ref.lab.classroom.room import (
+    MAX_STUDENT_BYTES,
     STUDENT,
     TEACHER,
     functions_in,
@@ -391,7 +391,7 @@ def test_answers_written_independently_are_far_from_copies(path):
 
 
 def test_short_equations_are_alike_by_chance_and_the_teacher_knows_them():
-    assert f"at most {limits.MAX_STUDENT_BYTES:,} bytes" in STUDENT
+    assert f"at most {MAX_STUDENT_BYTES:,} bytes" in STUDENT
     short = [key for key in KEYS if not copies(source_of(key), key)]
     assert [key for key in KEYS if copies(stub_of(key), key)] == []
     assert "offsets" in short and "`, `".join(short) in " ".join(TEACHER.split())
