@@ -6,8 +6,8 @@ import numpy as np
 
 from p4dgs_ref import model
 from p4dgs_ref.equations import deformation, deformed
+from p4dgs_ref.lab.random_inputs import random_field, random_network
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors
-from p4dgs_ref.random_inputs import random_field, random_network
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
 from p4dgs_ref.splatting.camera import look_at

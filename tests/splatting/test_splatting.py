@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.random_inputs import random_splats
+from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.splatting import compositing, covariance, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL

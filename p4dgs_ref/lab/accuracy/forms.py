@@ -16,10 +16,10 @@ from ...codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ...codec.streams import decode_gaussian, encode_gaussian
 from ...equations import likelihood
 from ...oracle.compare import cast
-from ...random_inputs import cov2d_of, random_anchor_network, random_splats
 from ...splatting import fast
 from ...splatting.settings import EXACT, FAST, KERNEL
 from ...splatting.table import EQUATIONS
+from ..random_inputs import cov2d_of, random_anchor_network, random_splats
 from . import formulas
 
 CUTS = {"1e-9": 1e-9, "1e-6": 1e-6, "5e-5": 5e-5, "1e-3": 1e-3, "1/255": 1 / 255, "1e-2": 1e-2}
