@@ -9,17 +9,17 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ..splatting import fast
+from ..splatting import factored, fast
 from ..splatting.table import EQUATIONS
 
 
 def equation_codes():
-    """{code object: (key, "forward" or "backward")} of equations and of the fast renderer.
+    """{code object: (key, "forward" or "backward")} of equations and of their twins in training.
 
-    The fast renderer has the key "compositing, fast".
+    The twins have the keys "projection, factored" and "compositing, fast".
     """
     modules = {key: eq.module for key, eq in EQUATIONS.items()}
-    modules["compositing, fast"] = fast
+    modules |= {"projection, factored": factored, "compositing, fast": fast}
     return {
         getattr(module, name).__code__: (key, name)
         for key, module in modules.items()

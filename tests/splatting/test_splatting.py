@@ -7,7 +7,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.lab.random_inputs import random_splats
-from p4dgs_ref.splatting import compositing, covariance, fast, loop, render, tiles
+from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from tests import ROOT
@@ -72,8 +72,8 @@ def test_needles_have_all_their_digits_in_every_renderer(ratio):
         np.testing.assert_allclose(found, image, rtol=precision)
         for name, bar in bars.items():
             np.testing.assert_allclose(found_bars[name], bar, precision, err_msg=name)
-    (Sigma, R), _ = covariance.axes(gaussians["s"], gaussians["r"])
-    projected, _ = render.project(gaussians["x"], Sigma, needles.CAMERA, EXACT, R)
+    places = (gaussians[name] for name in ("x", "s", "r"))
+    projected, _ = render.project(*places, needles.CAMERA, EXACT)
     names = ("mean2d", "cov2d", "conic", "depth", "visible")
     looks = {name: gaussians[name] for name in ("alpha", "color", "background")}
     size = dict(height=needles.CAMERA.height, width=needles.CAMERA.width)

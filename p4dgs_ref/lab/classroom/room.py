@@ -20,7 +20,7 @@ MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the k
 HELPERS = {
     "compositing": ("alphas", "transmittances"),
     "covariance": ("rotation_matrix",),
-    "deformed": ("as_printed", "moved"),
+    "deformed": ("moved",),
     "grid_nodes": ("locate", "nodes", "entries"),
     "hash_grid": ("query",),
     "hash_rate": ("entropy",),
@@ -34,6 +34,7 @@ HELPERS = {
         "slopes",
     ),
     "masking": ("scatter",),
+    "projection": ("view", "view_backward", "covariance2d", "splats"),
     "ssim": ("dissimilarity",),
 }
 # Equations of which a part is a module of its own, which students write as well.

@@ -35,7 +35,7 @@ COMPLETE = {
     "rounding": {"backward"},
     "likelihood": {"check_ranges", "phi"},
     "prior": {"layout"},
-    "covariance": {"axes_backward", "rotation_backward", "axes"},
+    "covariance": {"rotation_backward"},
     "projection": {"halved", "cross", "symmetric"},
     "compositing": {"depth_order", "scatter", "pixel_blocks"},
 }
