@@ -1,4 +1,4 @@
-"""Reads scenes in the layout of D-NeRF: transforms_{train,val,test}.json beside PNG files.
+"""Reads scenes in the layout of D-NeRF: transforms_{train,test}.json beside PNG files.
 
 The files count pixels from the corner of the image, and their cameras look along -z with y up, as
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
@@ -15,7 +15,6 @@ another size, they are scaled. All views of a file have one lens; frames may rep
 """
 
 import math
-import os
 import warnings
 from functools import partial
 
@@ -113,12 +112,10 @@ HARMLESS = (
 
 
 def read(folder, color, downscale):
-    """The views of every split, {"train": ..., "test": ...}; the split `val` may be absent."""
+    """The views of both splits, {"train": ..., "test": ...}; a split `val` is not read."""
     return {
-        split: read_split(folder, file, color, downscale)
-        for split in ("train", "test", "val")
-        for file in [folder / f"transforms_{split}.json"]
-        if split != "val" or os.path.lexists(file)
+        split: read_split(folder, folder / f"transforms_{split}.json", color, downscale)
+        for split in ("train", "test")
     }
 
 

@@ -24,7 +24,6 @@ import imageio.v3 as iio
 import numpy as np
 
 from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
-from ..output import write_atomically
 from .fields import MAX_COORDINATE, SceneError, require
 from .scene import as_float, over_background, size_of
 
@@ -150,31 +149,10 @@ def read_points(path: str | Path) -> np.ndarray:
     return points.astype(float)
 
 
-def write_ply(path, properties, rows, comments=(), rest=b""):
-    """Write float32 rows [N, P] as the vertices of a binary file, and further bytes after them.
-
-    Returns the bytes of the header, of the vertices and of the rest. A comment is one line of
-    ASCII. The rest is not an element of the file, because viewers take each line `property` of a
-    header for a property of the vertices.
-    """
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {text}" for text in comments),
-        f"element vertex {len(rows)}",
-        *(f"property float {of_vertex}" for of_vertex in properties),
-        "end_header\n",
-    ]
-    parts = "\n".join(lines).encode("ascii"), rows.astype("<f4").tobytes(), rest
-    write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
-    return [len(part) for part in parts]
-
-
 def read_ply(path):
-    """The vertices of a binary file, its comments, and the bytes that follow the vertices.
+    """The vertices of a binary file: a structured array [N], whose fields are their properties.
 
-    Vertices are the first element, as COLMAP and 3DGS write them. They are a structured array [N],
-    whose fields are their properties.
+    Vertices are the first element, as COLMAP and 3DGS write them.
     """
     data = Path(path).read_bytes()
     end = re.search(rb"\r?\nend_header\r?\n", data[:MAX_HEADER_BYTES])
@@ -183,8 +161,8 @@ def read_ply(path):
         path,
         f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
     )
-    head, body = data[: end.start()], data[end.end() :]
-    start, *elements = head.decode("ascii").split("\nelement ")
+    head = data[: end.start()].decode("ascii")
+    start, *elements = head.split("\nelement ")
     require(
         elements and elements[0].startswith("vertex "),
         path,
@@ -193,14 +171,12 @@ def read_ply(path):
     (_, count), *lines = (line.split() for line in elements[0].splitlines())
     order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
     kind = [(line[-1], order + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
-    vertices = np.frombuffer(body, kind, int(count))
-    comments = [line[8:] for line in head.decode("ascii").splitlines() if line[:8] == "comment "]
-    return vertices, comments, body[vertices.nbytes :]
+    return np.frombuffer(data, kind, int(count), end.end())
 
 
 def read_vertices(path):
     """The coordinates [A, 3] of the vertices of a PLY file."""
-    vertices, *_ = read_ply(path)
+    vertices = read_ply(path)
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
 
 

@@ -85,7 +85,7 @@ class View:
 class Scene:
     """Views to train on and views to evaluate on, all of one size.
 
-    A scene needs at least one training view; `test` and `val` may be empty. `effects` may be any
+    A scene needs at least one training view; `test` may be empty. `effects` may be any
     list of names; the scene keeps those of MODEL_EFFECTS, in that order. Without the effect
     `background` the background is black. Raises SceneError, which names what cannot be used.
     """
@@ -93,7 +93,6 @@ class Scene:
     name: str
     train: tuple[View, ...]
     test: tuple[View, ...] = ()
-    val: tuple[View, ...] = ()
     effects: tuple[str, ...] = MODEL_EFFECTS
     background: np.ndarray = field(default_factory=lambda: np.ones(3))  # [3], made float32
     source: Path | None = None  # the folder it was read from
@@ -106,14 +105,13 @@ class Scene:
             "name": printable(self.name),
             "train": tuple(self.train),
             "test": tuple(self.test),
-            "val": tuple(self.val),
             "effects": effects,
             "background": background_color(self.background, effects, where),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # the class is frozen for its users
         require(self.train, f"{where}: train", "no views; expected at least one")
-        for view in self.train + self.test + self.val:
+        for view in self.train + self.test:
             check_view(view, self.train[0], f"{where}: {view.name}")
 
     @classmethod

@@ -20,7 +20,7 @@ from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
-from p4dgs_ref.scenes.files import MAX_JSON_BYTES, write_ply
+from p4dgs_ref.scenes.files import MAX_JSON_BYTES
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
@@ -49,7 +49,9 @@ def original(scene, tmp_path_factory):
     for name, content in files.items():
         (place / name).parent.mkdir(exist_ok=True)
         (place / name).write_bytes(content)
-    write_ply(place / "scene.ply", "xyz", np.zeros((2, 3)), ("of another program",))
+    lines = [f"property float {axis}" for axis in "xyz"]
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 2", *lines, "end_header\n"]
+    (place / "scene.ply").write_bytes("\n".join(lines).encode() + bytes(24))
     return place
 
 

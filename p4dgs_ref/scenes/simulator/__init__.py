@@ -55,31 +55,33 @@ def simulate(
             progress(done, len(named))
 
 
-def place_cameras(description, split, shift=0.5):
+def place_cameras(description, split):
     """The (camera, time) of every view of a split, in the order of time.
 
-    Training views are at even times from 0 to 1, test views half-way between even times; another
-    `shift` than half a step gives further views. Cameras of the kind `scattered` step on by the
-    golden angle, so that neighbours in time see the scene from very different sides. The kind
-    `orbit` moves the training camera smoothly and scatters the test cameras.
+    Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
+    the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
+    very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
+    cameras.
     """
     paths, n = description.cameras, getattr(description.cameras, split)
-    low, high = paths.elevation
     posed = []
     for i in range(n):
-        t = i / max(n - 1, 1) if split == "train" else (i + shift) / n
-        step = i if split == "train" else i + shift
+        step, t = (i, i / max(n - 1, 1)) if split == "train" else (i + 0.5, (i + 0.5) / n)
         azimuth, height = GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1
         if paths.kind == "orbit" and split == "train":
             azimuth, height = paths.turns * t, 0.5 + 0.5 * math.sin(4 * math.pi * t)
-        elevation = math.radians(low + (high - low) * height)
-        posed.append((camera_at(description, 2 * math.pi * azimuth, elevation), t))
+        posed.append((camera_at(description, azimuth, height), t))
     return posed
 
 
-def camera_at(description, azimuth, elevation):
-    """A camera on the sphere about the target that looks at the target, with z up."""
+def camera_at(description, azimuth, height):
+    """A camera on the sphere about the target that looks at the target, with z up.
+
+    The azimuth counts turns, the height is from 0 at the lowest elevation to 1 at the highest.
+    """
     paths, lens = description.cameras, description.lens
+    low, high = paths.elevation
+    azimuth, elevation = 2 * math.pi * azimuth, math.radians(low + (high - low) * height)
     outward = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),
