@@ -13,7 +13,7 @@ or a report of `demo`, is never replaced by another training.
 import errno
 import os
 import shutil
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -72,9 +72,10 @@ def new_part(folder):
 
     Where the disk is full, the error names the file in `folder` that was written last.
     """
-    with ExitStack() as stack:
-        with deferred():  # a signal between its making and its `with` would leave it behind
-            part = Path(stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder)))
+    with deferred():  # a signal while it is made would leave it behind
+        hidden = TemporaryDirectory(prefix=PART, dir=folder)
+    with hidden as name:
+        part = Path(name)
         try:
             yield part
         except OSError as error:

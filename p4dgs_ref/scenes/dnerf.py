@@ -11,7 +11,7 @@ way is refused unless it is 0, false or empty (`off`). HARMLESS names the fields
 another program how to train. Any other field is named in a warning.
 
 Focal lengths and the principal point are pixels of an image of w x h. Where the pictures have
-another size, they are scaled. All views of a file have one lens; frames may repeat its fields.
+another size, they are scaled. All views of a file have one lens.
 """
 
 import math
@@ -61,7 +61,7 @@ LENS = {
     **optional("fl_x fl_y", FOCAL),  # pixels of an image of w x h
     **optional("cx cy", PRINCIPAL),
     **optional("w h", numbers, low=1, high=MAX_LENS),
-    **optional("camera_model", choice, table=dict(zip(PINHOLES, PINHOLES))),
+    **optional("camera_model", choice, words=PINHOLES),
     **optional(
         "k1 k2 k3 k4 k5 k6 p1 p2 distortion distortion_params skew is_fisheye fisheye_crop_radius "
         "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
@@ -79,7 +79,7 @@ FRAME = {
     "file_path": (text, REQUIRED),
     "time": (SHARE, REQUIRED),
     "transform_matrix": (world_to_camera, REQUIRED),
-    **LENS,
+    **optional(" ".join(LENS), off, expected="one lens of all views, beside `frames`"),
     **optional(
         "transform_matrix_start transform_matrix_end",
         off,
@@ -136,19 +136,10 @@ def read_split(folder, file, color, downscale):
 
 
 def read_transforms(file):
-    """The fields of a transforms file, with those of the lens that only its frames have."""
+    """The checked fields of a transforms file."""
     content = read_json(file)
     values = fields(content, file, TRANSFORMS, others=True)
     require(values.frames, f"{file}: frames", "empty; expected at least one view")
-    for i, frame in enumerate(values.frames):
-        for name in sorted(LENS.keys() & content["frames"][i].keys()):
-            value, first = getattr(frame, name), getattr(values, name)
-            require(
-                first in (None, value),
-                f"{file}: frames[{i}].{name}",
-                f"{value}; expected {first}, because all views have one lens",
-            )
-            setattr(values, name, value)
     require(
         values.camera_angle_x or values.fl_x,
         f"{file}: camera_angle_x",

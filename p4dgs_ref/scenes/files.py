@@ -1,20 +1,14 @@
 """Reads the files of which scenes consist: JSON objects, pictures and point clouds.
 
-The first anchors of a real scene stand at the points of
-
-.npy    an array of shape [A, 3]
-.ply    x, y and z of the element `vertex`, binary, as COLMAP and 3DGS write them
-.txt    COLMAP's points3D.txt: lines of POINT3D_ID X Y Z R G B ERROR TRACK[]
-.bin    COLMAP's points3D.bin: the number of points as uint64, then for each point uint64
-        POINT3D_ID, double X Y Z, uint8 R G B, double ERROR, uint64 entries of its TRACK, and
-        8 bytes for each of these; little endian
+The first anchors of a real scene stand at the points of a .npy, an array of shape [A, 3], or of a
+binary .ply, x, y and z of its element `vertex`, as 3DGS writes it, and COLMAP with
+`model_converter --output_type PLY`.
 """
 
 import json
 import math
 import os
 import re
-import struct
 import warnings
 from contextlib import contextmanager
 from functools import partial
@@ -33,15 +27,10 @@ FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
     "or a HyperNeRF or NeRF-DS folder with dataset.json"
 )
-PLY_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
-}
+# The types of a PLY file that NumPy knows by another name, or that have another size there.
+PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
-COLMAP_POINT = struct.Struct("<Q3d3BdQ")
-BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_json(file, expected=FOLDERS):
@@ -134,7 +123,7 @@ def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
     path = Path(path)
     require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
-    with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt or .bin"):
+    with reading(path, "points in a .npy or a binary .ply"):
         points = READERS[path.suffix](path)
         require(
             points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
@@ -169,9 +158,11 @@ def read_ply(path):
         "expected 'vertex' as the first element",
     )
     (_, count), *lines = (line.split() for line in elements[0].splitlines())
-    order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
-    kind = [(line[-1], order + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
-    return np.frombuffer(data, kind, int(count), end.end())
+    require("\nformat binary_little_endian " in start, path, "expected a little-endian binary .ply")
+    columns = [
+        (line[-1], PLY_TYPES.get(line[1], line[1])) for line in lines if line[0] == "property"
+    ]
+    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), end.end())
 
 
 def read_vertices(path):
@@ -180,34 +171,7 @@ def read_vertices(path):
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
 
 
-def read_points3d_text(path):
-    """The coordinates [A, 3] in COLMAP's points3D.txt."""
-    rows = np.loadtxt(path, usecols=range(8), ndmin=2, encoding="utf-8-sig")
-    counted, colors = rows[:, [0, 4, 5, 6]], rows[:, 4:7]
-    require(
-        np.all(counted % 1 == 0) and np.all(counted >= 0) and np.all(colors <= 255),
-        path,
-        "expected lines of POINT3D_ID X Y Z R G B ERROR TRACK[], as COLMAP writes them",
-    )
-    return rows[:, 1:4]
-
-
-def read_points3d(path):
-    """The coordinates [A, 3] in COLMAP's points3D.bin."""
-    data, at, points = path.read_bytes(), 8, []
-    count = int.from_bytes(data[:8], "little")
-    require(count <= MAX_ANCHORS, path, f"{count} points; expected 1 to {MAX_ANCHORS} points")
-    for _ in range(count):
-        _, *point, _, _, _, _, entries = COLMAP_POINT.unpack_from(data, at)
-        points.append(point)
-        at += COLMAP_POINT.size + 8 * entries
-    require(at == len(data), path, f"expected to end with its last point, at byte {at}")
-    return np.array(points)
-
-
 READERS = {
     ".npy": partial(np.lib.format.open_memmap, mode="r"),  # an array; its size is known at once
     ".ply": read_vertices,
-    ".bin": read_points3d,
-    ".txt": read_points3d_text,
 }

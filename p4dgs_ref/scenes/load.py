@@ -40,8 +40,7 @@ def load_scene(
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    is_dnerf = os.path.lexists(folder / "transforms_train.json")
-    return os.path.lexists(folder / hypernerf.SPLITS) and not is_dnerf
+    return os.path.lexists(folder / hypernerf.SPLITS)
 
 
 def read_points_for(scene, path):

@@ -169,7 +169,7 @@ def check_effects(names, where):
     listed = list_of(
         MODEL_EFFECTS if names is None else names,
         where,
-        partial(choice, table={name: name for name in SIMULATOR_EFFECTS}),
+        partial(choice, words=SIMULATOR_EFFECTS),
     )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
 

@@ -37,11 +37,7 @@ def simulate(
     source = None if isinstance(scene_json, dict) else Path(scene_json)
     text = source.read_text(encoding="utf-8") if source else json.dumps(scene_json, indent=1) + "\n"
     views = {split: place_cameras(description, split) for split in ("train", "test")}
-    named = [
-        (f"{split}/r_{i:03d}.png", *view)
-        for split, posed in views.items()
-        for i, view in enumerate(posed)
-    ]
+    total, done = sum(map(len, views.values())), 0
     with new_file(Path(out_dir) / "scene.json", source), staged_folder(out_dir) as folder:
         (folder / "scene.json").write_text(text, encoding="utf-8")
         for split, posed in views.items():
@@ -49,10 +45,11 @@ def simulate(
             (folder / f"transforms_{split}.json").write_text(
                 transforms(split, posed), encoding="utf-8"
             )
-        for done, (name, camera, t) in enumerate(named, 1):
-            pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
-            write_image(folder / name, pixels, optimize=True)
-            progress(done, len(named))
+            for i, (camera, t) in enumerate(posed):
+                pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
+                write_image(folder / split / f"r_{i:03d}.png", pixels, optimize=True)
+                done += 1
+                progress(done, total)
 
 
 def place_cameras(description, split):
@@ -126,9 +123,5 @@ def transforms(split, posed):
         }
         for i, (camera, t) in enumerate(posed)
     ]
-    return (
-        json.dumps(head)[:-1]
-        + ',\n "frames": [\n  '
-        + ",\n  ".join(map(json.dumps, frames))
-        + "]}\n"
-    )
+    rows = ",\n  ".join(map(json.dumps, frames))
+    return f'{json.dumps(head)[:-1]},\n "frames": [\n  {rows}]}}\n'

@@ -63,7 +63,7 @@ TEXTURES = {
     "checker": {
         "color": (COLOR, REQUIRED),
         "cell": (POSITIVE, REQUIRED),
-        "axes": (partial(choice, table={"xy": [0, 1], "xyz": [0, 1, 2]}), [0, 1, 2]),
+        "axes": (partial(choice, words=("xy", "xyz")), "xyz"),
     },
     "stripes": {
         "color": (COLOR, REQUIRED),
