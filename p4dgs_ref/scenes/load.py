@@ -40,7 +40,8 @@ def load_scene(
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    return os.path.lexists(folder / hypernerf.SPLITS)
+    is_dnerf = os.path.lexists(folder / "transforms_train.json")
+    return os.path.lexists(folder / hypernerf.SPLITS) and not is_dnerf
 
 
 def read_points_for(scene, path):

@@ -139,7 +139,7 @@ def test_each_field_of_the_dialects_is_used_or_harmless_or_warned_of(folder, rec
     harmless = {"aabb_scale": 16, "applied_scale": 1, "ply_file_path": "points.ply", "k1": 0.0}
     harmless |= {"camera_model": "OPENCV", "is_fisheye": False, "rolling_shutter": [0, 0, 0, 0]}
     edit(folder, lambda data: data.update(harmless))
-    edit(folder, lambda data: [f.update(w=12, h=8, sharpness=9, k1=0) for f in data["frames"]])
+    edit(folder, lambda data: [f.update(sharpness=9, k1=0) for f in data["frames"]])
     edit(folder, lambda data: data["frames"][1].update(file_path=".\\train\\r_001.png"))
     view = load_scene(folder).train[1]
     np.testing.assert_equal(vars(view.camera), vars(plain))

@@ -61,24 +61,21 @@ def place_cameras(description, split):
     cameras.
     """
     paths, n = description.cameras, getattr(description.cameras, split)
+    low, high = paths.elevation
     posed = []
     for i in range(n):
         step, t = (i, i / max(n - 1, 1)) if split == "train" else (i + 0.5, (i + 0.5) / n)
         azimuth, height = GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1
         if paths.kind == "orbit" and split == "train":
             azimuth, height = paths.turns * t, 0.5 + 0.5 * math.sin(4 * math.pi * t)
-        posed.append((camera_at(description, azimuth, height), t))
+        elevation = math.radians(low + (high - low) * height)
+        posed.append((camera_at(description, 2 * math.pi * azimuth, elevation), t))
     return posed
 
 
-def camera_at(description, azimuth, height):
-    """A camera on the sphere about the target that looks at the target, with z up.
-
-    The azimuth counts turns, the height is from 0 at the lowest elevation to 1 at the highest.
-    """
+def camera_at(description, azimuth, elevation):
+    """A camera on the sphere about the target that looks at the target, with z up."""
     paths, lens = description.cameras, description.lens
-    low, high = paths.elevation
-    azimuth, elevation = 2 * math.pi * azimuth, math.radians(low + (high - low) * height)
     outward = np.array(
         [
             math.cos(elevation) * math.cos(azimuth),

@@ -28,9 +28,11 @@ def held_back(scene: Scene) -> tuple[View, ...]:
     description = read_description(scene.source / DESCRIPTION)
     small = scene.train[0].camera
     views = []
+    low, high = description.cameras.elevation
     for i in range(description.cameras.test):
         step = i + QUARTER
-        camera = camera_at(description, GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1)
+        elevation = np.radians(low + (high - low) * ((0.5 + PLASTIC * step) % 1))
+        camera = camera_at(description, 2 * np.pi * (GOLDEN * step % 1), elevation)
         t = step / description.cameras.test
         looking = replace(small, R=camera.R, T=camera.T)
         pixels = trace(description, looking, t).astype(np.float32)
