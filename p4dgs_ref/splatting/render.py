@@ -41,7 +41,7 @@ def project(x, s, r, camera, settings):
     return factored.forward(x, s, r, **pinhole(camera, settings))
 
 
-def pinhole(camera, settings):
+def pinhole(camera, settings) -> dict:
     """A camera and the constants of projection, as arguments of `projection`."""
     return dict(
         W=camera.R,

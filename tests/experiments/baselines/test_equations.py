@@ -3,7 +3,7 @@
 import pytest
 from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
 
-from p4dgs_ref.equations.table import Equation
+from p4dgs_ref.splatting.table import Equation
 from tests.equations import adjoint, rules
 from tests.golden.cases import cases_of
 
