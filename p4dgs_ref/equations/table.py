@@ -31,8 +31,8 @@ from . import (
 
 ANCHOR_NETWORK = "f_a delta_vc d_vc weights biases"
 
-# Module, number as printed, formula, outputs, and the inputs that receive a gradient (the others are
-# data). The number is "3'" for what Eq. (3) says by analogy, and "" where the paper prints none.
+# Module, number as printed, formula, outputs, and the inputs that receive a gradient. The number is
+# "3'" for what Eq. (3) says by analogy, and "" where the paper prints none.
 ROWS = (
     (offsets, "1", "x = x_a + O_a * l_a", "x", "x_a O_a l_a"),
     (view, "2", "delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc", "delta_vc d_vc", "x_a"),
