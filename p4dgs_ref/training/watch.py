@@ -11,6 +11,7 @@ import numpy as np
 
 from ..splatting import factored, fast
 from ..splatting.table import EQUATIONS
+from . import objective
 
 
 def equation_codes():
@@ -18,11 +19,10 @@ def equation_codes():
 
     The twins have the keys "projection, factored" and "compositing, fast".
     """
-    modules = {key: eq.module for key, eq in EQUATIONS.items()}
-    modules |= {"projection, factored": factored, "compositing, fast": fast}
+    twins = {"projection, factored": factored, "compositing, fast": fast}
     return {
         getattr(module, name).__code__: (key, name)
-        for key, module in modules.items()
+        for key, module in {**EQUATIONS, **twins}.items()
         for name in ("forward", "backward")
     }
 
@@ -68,11 +68,8 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(loss, inputs):
-    """A phrase that names where an iteration, `loss(*inputs)`, first stops being finite.
-
-    The first of the inputs are the Parameters.
-    """
+def find_first(inputs):
+    """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
@@ -90,7 +87,7 @@ def find_first(loss, inputs):
             phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
 
     with np.errstate(all="ignore"), watching(equation_codes(), see):
-        losses, _, back = loss(*inputs)
+        losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [
         first_bad(losses._asdict(), "objective: "),
