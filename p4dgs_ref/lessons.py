@@ -16,7 +16,7 @@ from .oracle.checker import Report, check, check_subject
 from .oracle.ports import FunctionPort
 from .output import write_atomically
 from .report.figures import COLORS
-from .table import EQUATIONS
+from .splatting.table import EQUATIONS
 
 
 class Tutorial(NamedTuple):

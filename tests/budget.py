@@ -18,12 +18,11 @@ PACKAGE = ROOT / "p4dgs_ref"
 # Rooms that are counted together.
 SHARED = {
     **dict.fromkeys(
-        ("splatting", "table", "model", "attributes", "effects", "limits"), "splatting, model"
+        ("splatting", "model", "attributes", "effects", "limits"), "splatting, model"
     ),
-    "random_inputs": "lab",
     "output": "scenes",
     **dict.fromkeys(
-        ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"
+        ("cli", "version", "signals", "arithmetic", "__init__", "__main__"), "cli, root"
     ),
 }
 

@@ -33,14 +33,13 @@ WIDTH = 100
 
 # A room imports itself and the rooms before it.
 ORDER = (
+    "version",
     "signals",
     "arithmetic",
     "limits",
-    "random_inputs",
     "equations",
     "splatting",
     "attributes",
-    "table",
     "effects",
     "model",
     "output",

@@ -13,10 +13,10 @@ from tests import ROOT
 from tests.budget import PACKAGE, imported
 
 ROOMS = ("equations", "splatting", "scenes", "training", "codec")
-OTHERS = ("beyond", "oracle", "viewer", "lab")
+OTHERS = ("oracle", "viewer")  # and the laboratory but for its random inputs
 MODULES = [
     *(file for room in ROOMS for file in sorted((PACKAGE / room).rglob("*.py"))),
-    *(PACKAGE / f"{name}.py" for name in ("table", "attributes", "effects", "model", "output")),
+    *(PACKAGE / f"{name}.py" for name in ("attributes", "effects", "model", "output")),
     PACKAGE / "codec" / "picture.txt",
 ]
 KEPT = (  # of the tests, which need neither published vectors nor baselines
@@ -53,10 +53,19 @@ def in_copy(folder, *command):
 
 
 def prune(folder):
-    """Delete the rooms that are not the paper's, and what of the tests cannot be imported then."""
+    """Delete the rooms that are not the paper's, and what of the tests cannot be imported then.
+
+    Random inputs stay, because the cases of equations are made with them.
+    """
+    package = folder / "p4dgs_ref"
+    gone = {f"p4dgs_ref.{room}" for room in OTHERS}
+    for file in (package / "lab").iterdir():
+        if file.stem not in ("__init__", "random_inputs"):
+            gone.add(f"p4dgs_ref.lab.{file.stem}")
+            shutil.rmtree(file) if file.is_dir() else file.unlink()
     for room in OTHERS:
-        shutil.rmtree(folder / "p4dgs_ref" / room)
-    gone, files = {f"p4dgs_ref.{room}" for room in OTHERS}, {*(folder / "tests").rglob("*.py")}
+        shutil.rmtree(package / room)
+    files = {*(folder / "tests").rglob("*.py")}
     while True:
         lost = {file for file in files if needs(imported(file, folder / "tests"), gone)}
         if not lost:

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref import table
 from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.equations import numerics, prior, step
@@ -31,7 +30,8 @@ from p4dgs_ref.report.evaluate import (
     explicit_bytes,
 )
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene, packaged_scenes
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.splatting import table
+from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.parameters import EPSILON
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, TINY
@@ -434,9 +434,9 @@ FACTS = {
         f"blur {EXACT.blur:g}",
         f"{EXACT.tan_clamp:g} tan clamp",
         f"α ≤ {EXACT.alpha_max:g}",
-        f"{PAPER.tile}×{PAPER.tile} tiles",
-        f"1/{1 / PAPER.mask:.0f} per pixel",
-        f"pass T < {plain(PAPER.stop)}",
+        f"{KERNEL.tile}×{KERNEL.tile} tiles",
+        f"1/{1 / KERNEL.mask:.0f} per pixel",
+        f"pass T < {plain(KERNEL.stop)}",
         f"{FAST.tile}×{FAST.tile} tiles cut at α ≥ {plain(FAST.cut)}",
         f"stops at T < {plain(FAST.stop)}",
     ],

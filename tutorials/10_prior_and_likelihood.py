@@ -107,8 +107,8 @@ lessons.show(figure, "10_areas")
 
 # %%
 from p4dgs_ref.equations import likelihood, mlp, prior
+from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.lessons import close, inner, moved
-from p4dgs_ref.random_inputs import random_network
 
 A, width, widths = 6, 5, (2, 3, 3, 3)
 n = sum(widths)

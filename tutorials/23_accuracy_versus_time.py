@@ -153,42 +153,42 @@ lessons.show(figure, "23_accuracy_versus_time_order")
 # is compared with the truth. The first function is the renderer, which has three settings.
 # `exact`, which is the truth here, evaluates every pair of a Gaussian and a pixel in `float64`.
 # `fast` ends a Gaussian where its opacity falls below a **cut**, which is the parameter of this
-# diagram. `paper` has the constants of the published kernel: a square box of three standard
+# diagram. `kernel` has the constants of the published kernel: a square box of three standard
 # deviations, and no opacity below $1/255$ at any pixel.
 
 # %%
 from p4dgs_ref.lab.accuracy import diagram, forms, formulas
 from p4dgs_ref.lab.accuracy.harness import measure_forms
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 
 choices = {}
 for dtype in ("float32", "float64"):
     for name in ("1/255", "5e-5", "1e-6"):
         settings = FAST._replace(cut=forms.CUTS[name], dtype=dtype)
         choices[f"cut labelled, {dtype}", name] = settings
-for settings in (EXACT, PAPER, FAST):
+for settings in (EXACT, KERNEL, FAST):
     choices[f"setting `{settings.name}`", ""] = settings
 scene = forms.splat_scene(300, 48)
 drawn = measure_forms(forms.rendered(choices, scene), 9)
-exact, paper, fast = drawn[-3:]
-for row in (exact, paper, fast):
+exact, kernel, fast = drawn[-3:]
+for row in (exact, kernel, fast):
     print(
         f"{row['line']:15s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs, "
         f"error of the image {row['error']:.1e}, of the gradients {row['gradient_error']:.1e}"
     )
 assert (exact["error"], exact["pairs"]) == (0, 300 * 48 * 48)
-assert all(fast[measure] < paper[measure] for measure in ("error", "pairs"))
+assert all(fast[measure] < kernel[measure] for measure in ("error", "pairs"))
 
 # %% [markdown]
-# Measured in pairs, `paper` is dominated: `fast` evaluates fewer pairs and has a smaller error,
+# Measured in pairs, `kernel` is dominated: `fast` evaluates fewer pairs and has a smaller error,
 # because its tiles follow the ellipse instead of a square box. But is `fast` accurate *enough*? A
 # picture with 8 bits per value is rounded by up to half of 1/255, which is 0.00196. The error of
-# `paper` is larger than this, that of `fast` is smaller.
+# `kernel` is larger than this, that of `fast` is smaller.
 
 # %%
 half_step = 0.5 / 255
 assert round(half_step, 5) == 0.00196
-assert fast["error"] < half_step < paper["error"]
+assert fast["error"] < half_step < kernel["error"]
 
 # %% [markdown]
 # The second function is Eq. (11), the bits of a symbol, of which the project has six formulas.
@@ -349,7 +349,7 @@ assert abs(printed - truth) / abs(truth) > 0.5e-6
 # ## What a codec does with it
 # The lossy parts of a codec may have any error that cannot be seen. Suppose that a model has a
 # PSNR of 33 dB, and that the renderer adds an error of its own. In the worst case the two add up
-# to $(\sqrt{MSE} + rms)^2$. The loss in dB is the real price of `fast` and `paper`.
+# to $(\sqrt{MSE} + rms)^2$. The loss in dB is the real price of `fast` and `kernel`.
 
 # %%
 mse = 10 ** (-33 / 10)
@@ -361,8 +361,8 @@ def largest_loss(row):
     return 10 * math.log10(worst / mse)
 
 
-print(f"fast loses at most {largest_loss(fast):.4f} dB, paper {largest_loss(paper):.4f} dB")
-assert largest_loss(fast) < 0.01 < largest_loss(paper)
+print(f"fast loses at most {largest_loss(fast):.4f} dB, kernel {largest_loss(kernel):.4f} dB")
+assert largest_loss(fast) < 0.01 < largest_loss(kernel)
 
 # %% [markdown]
 # The entropy coder is the opposite case. Move the mean of a single symbol among 400 by a

@@ -199,7 +199,7 @@ assert seen(alone, True)[0] == seen(alone, False)[0]
 
 # %%
 from p4dgs_ref.equations import deformation, deformed, positional_encoding
-from p4dgs_ref.random_inputs import random_field
+from p4dgs_ref.lab.random_inputs import random_field
 
 rng = np.random.default_rng(25)
 field = random_field(rng, 2, 1, 6, 5)
@@ -267,8 +267,9 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 import tempfile
 from pathlib import Path
 
-from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.tables.methods import make_missing
+
+from p4dgs_ref.lab import effect_ledger
 
 short = {"preset": "smoke", "stage_ends": (15, 25, 100, 150)}
 with tempfile.TemporaryDirectory() as folder:

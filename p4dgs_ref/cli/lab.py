@@ -6,7 +6,7 @@ Each imports the part of the laboratory that it needs.
 from contextlib import nullcontext
 from functools import partial
 
-from ..output import filled
+from ..output import staged_folder
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from . import progress, require, say, show, tell
 from .job import estimate
@@ -16,7 +16,7 @@ def turn_knobs(arguments):
     """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
     from ..lab.accuracy import report as accuracies
 
-    with filled(arguments.output) as staging:
+    with staged_folder(arguments.output) as staging:
         result = accuracies.run(
             arguments.only or None,
             staging,
@@ -32,7 +32,7 @@ def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
     from ..lab.stability import draw_map, rows, to_text
 
-    with filled(arguments.output) as staging:
+    with staged_folder(arguments.output) as staging:
         cases = rows(arguments.only)
         draw_map(staging / "stability.png")
     show(arguments, {"cases": cases}, f"{to_text(cases)}\nmap: {arguments.output}/stability.png")
@@ -52,7 +52,7 @@ def effects(arguments):
     if arguments.suggest:
         return suggest_effects(arguments)
     folder = arguments.output or "report/effects"
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         tasks = effect_ledger.plan(load_scene(arguments.scene), folder)
         make_rows(arguments, tasks)
         rows = effect_ledger.collect(tasks, staging)
@@ -101,7 +101,7 @@ def grade(arguments):
     """Judge what students wrote."""
     from ..lab import classroom as room
 
-    with filled(arguments.output) if arguments.output else nullcontext() as staging:
+    with staged_folder(arguments.output) if arguments.output else nullcontext() as staging:
         grades = room.grade(
             *arguments.folders,
             classroom=arguments.classroom,

@@ -42,13 +42,14 @@ import time
 
 import numpy as np
 
-from ..limits import MAX_LINE_BYTES, cut
+from ..limits import cut
 from .compare import cast
 from .ports import ROLES, PortError
 from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
+MAX_LINE_BYTES = 2**26  # of an answer
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ..limits import MAX_ANSWER_HEADER_BYTES, cut
+from ..limits import cut
 
+MAX_ANSWER_HEADER_BYTES = 2**20
 DTYPES = {
     "F64": "<f8",
     "F32": "<f4",

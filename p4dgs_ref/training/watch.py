@@ -9,19 +9,20 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ..splatting import fast
-from ..table import EQUATIONS
+from ..splatting import factored, fast
+from ..splatting.table import EQUATIONS
 from . import objective
 
 
 def equation_codes():
-    """{code object: (key, "forward" or "backward")} of equations and of the fast renderer.
+    """{code object: (key, "forward" or "backward")} of equations and of their twins in training.
 
-    The fast renderer has the key "compositing, fast".
+    The twins have the keys "projection, factored" and "compositing, fast".
     """
+    twins = {"projection, factored": factored, "compositing, fast": fast}
     return {
         getattr(module, name).__code__: (key, name)
-        for key, module in {**EQUATIONS, "compositing, fast": fast}.items()
+        for key, module in {**EQUATIONS, **twins}.items()
         for name in ("forward", "backward")
     }
 

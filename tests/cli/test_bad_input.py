@@ -20,8 +20,8 @@ from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
-from p4dgs_ref.scenes.files import write_ply
-from p4dgs_ref.training.fit import fit, load_checkpoint
+from p4dgs_ref.scenes.files import MAX_JSON_BYTES
+from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
 from tests.sampling import few
@@ -49,7 +49,9 @@ def original(scene, tmp_path_factory):
     for name, content in files.items():
         (place / name).parent.mkdir(exist_ok=True)
         (place / name).write_bytes(content)
-    write_ply(place / "scene.ply", "xyz", np.zeros((2, 3)), ("of another program",))
+    lines = [f"property float {axis}" for axis in "xyz"]
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 2", *lines, "end_header\n"]
+    (place / "scene.ply").write_bytes("\n".join(lines).encode() + bytes(24))
     return place
 
 
@@ -319,7 +321,7 @@ LINES = [
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
-    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, paper, fast")),
+    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, kernel, fast")),
     *(
         (f"render good.p4dgs -o new --scene scene {option} 3", (option, "without --scene"))
         for option in ("--azimuth", "--elevation", "--distance", "--size", "--frames")
@@ -371,9 +373,9 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
 LARGE = {
     "train bouncing -o new --preset smoke --points x.ply": ("x.ply", limits.MAX_FILE_BYTES),
     "train bouncing -o new --preset smoke --points x.npy": ("x.npy", limits.MAX_FILE_BYTES),
-    "encode . -o new": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
-    "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
-    "demo . -o new": ("transforms_train.json", limits.MAX_JSON_BYTES),
+    "encode . -o new": ("checkpoint.npz", MAX_CHECKPOINT_BYTES),
+    "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", MAX_CHECKPOINT_BYTES),
+    "demo . -o new": ("transforms_train.json", MAX_JSON_BYTES),
 }
 
 

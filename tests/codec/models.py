@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from p4dgs_ref.designs import HAS_OURS, choose, fit, read_container, trainer_class
 from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError, write_container
-from p4dgs_ref.designs import HAS_OURS, choose, fit, read_container, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.model import Gaussians, context, split
@@ -213,7 +213,7 @@ def digest(model):
 
 def read_gaussians(path):
     """The Gaussians of a PLY file of 3DGS, as float64; their spherical harmonics have degree 0."""
-    vertices = read_ply(path)[0]
+    vertices = read_ply(path)
     columns = np.stack([vertices[name].astype(float) for name in vertices.dtype.names], axis=1)
     x, _, f_dc, opacity, log_s, r = np.split(columns, [3, 6, 9, 10, 13], axis=1)
     color = 0.5 + f_dc / (2 * np.sqrt(np.pi))

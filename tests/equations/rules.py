@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from p4dgs_ref.table import Equation
+from p4dgs_ref.splatting.table import Equation
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.golden import shape_comments
 

@@ -9,10 +9,10 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-
-from p4dgs_ref import table
 from p4dgs_ref.designs import EQUATIONS
+
 from p4dgs_ref.equations import likelihood
+from p4dgs_ref.splatting import table
 from tests.equations import adjoint, rules
 from tests.equations.adjoint import close, is_float
 from tests.equations.rules import altered
@@ -89,7 +89,7 @@ def test_table_and_cases_fit_the_functions(eq):
     assert "ordinary" in flags and len(flags) > 1 and flags <= set(FLAGS), flags
     assert all(case.flags for case in cases)
 
-    assert eq.formula and eq.module.rpartition(".")[2] == eq.key
+    assert eq.formula and eq.module.__name__.rpartition(".")[2] == eq.key
     parameters = inspect.signature(eq.forward).parameters
     needed = {name for name, p in parameters.items() if p.default is inspect.Parameter.empty}
     for case in cases:

@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 
 import tests.golden.sixty_digits as sixty
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.sixty_digits import functions as f
 from tests.golden.sixty_digits.errors import error

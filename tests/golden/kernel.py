@@ -1,4 +1,4 @@
-"""Vectors of level L2 for the rule of the published kernel (Kerbl et al. 2023), Q21's `paper`.
+"""Vectors of level L2 for the rule of the published kernel (Kerbl et al. 2023), Q21's `kernel`.
 
 `lists` and `composite` are written from the rule, tile by tile, and share no code with the
 renderers of the package, which tests compare with them. Every operation has the precision of its
@@ -25,7 +25,7 @@ from p4dgs_ref import model
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import fast
-from p4dgs_ref.splatting.settings import PAPER
+from p4dgs_ref.splatting.settings import KERNEL
 from tests.golden import stages
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, camera_of, described
@@ -222,7 +222,7 @@ def by_monomials(inputs, cotangents):
     """The answer of the package's `fast`, a right renderer that loses digits by its polynomials."""
     (image, T, last), _ = composite(**inputs)
     wide = cast(definite(inputs), np.float64)
-    settings = PAPER._replace(dtype=image.dtype.name)
+    settings = KERNEL._replace(dtype=image.dtype.name)
     (image, T), saved = fast.forward(**wide, settings=settings)
     bars = fast.backward(saved, cotangents["image_bar"])
     outputs = {"image": image, "transmittance": T, "last": last}
@@ -242,7 +242,7 @@ def kernel_surrogate(**base):
 
 def splats_of(x, s, r, camera):
     """Return the splats of some Gaussians as inputs of `composite`, and their pullback."""
-    splats, pullback = stages.projected(x, s, r, camera, PAPER)
+    splats, pullback = stages.projected(x, s, r, camera, KERNEL)
     return dict(splats, height=camera.height, width=camera.width), pullback
 
 

@@ -111,7 +111,7 @@ class Mutation(NamedTuple):
 
 def files():
     """Return [(module, its equation)] of all files that are mutated."""
-    equations = [(eq.module, key) for key, eq in ALL_EQUATIONS.items()]
+    equations = [(eq.module.__name__, key) for key, eq in ALL_EQUATIONS.items()]
     return equations + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
 
 

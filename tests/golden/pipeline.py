@@ -22,7 +22,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
-from p4dgs_ref.splatting.settings import EXACT, SETTINGS
+from p4dgs_ref.splatting.settings import EXACT, KERNEL
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
@@ -70,14 +70,14 @@ def frames_vjp(
 ):
     """An image of a decoded model: Fig. 1 from end to end, Eqs. (1) to (6).
 
-    x_c of Eq. (2) is -W^T T. `renderer` is the name of settings of Q21; the arithmetic is float64
-    whatever they say.
+    x_c of Eq. (2) is -W^T T. `renderer` names settings of Q21, of which the published cases call
+    `kernel` "paper"; the arithmetic is float64 whatever they say.
     """
     camera = camera_of(W, T, focal, center, size)
     design = replace(EMPTY, L_x=L_x, L_t=L_t, tau_alpha=tau_alpha, effects=effects)
     anchors = Anchors(x_a, f_a, s_a, l_a, O_a, mask)
     g, *_ = model.predict(design, networks_of(networks), anchors, camera.center, t)
-    settings = SETTINGS[renderer]._replace(dtype="float64")
+    settings = {"exact": EXACT, "paper": KERNEL}[renderer]._replace(dtype="float64")
     (image, *_), _ = render.forward(
         g.x, g.s, g.r, g.alpha, g.color, camera, background, settings, "occlusion" in effects
     )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from p4dgs_ref.equations.grid_nodes import entries, nodes
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import Case
 from tests.golden.scalars import identity
 from tests.golden.subjects import CONSTANTS, Subject, no_pullback

@@ -6,10 +6,10 @@ import numpy as np
 
 from p4dgs_ref import model
 from p4dgs_ref.equations import deformation, deformed
+from p4dgs_ref.lab.random_inputs import random_field, random_network
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors
-from p4dgs_ref.random_inputs import random_field, random_network
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from p4dgs_ref.splatting import covariance, projection, render
+from p4dgs_ref.splatting import factored, render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT
 from tests.golden.cases import Case
@@ -163,16 +163,13 @@ def projected(x, s, r, camera, settings):
 
     r is taken as it is: its gradient is the plain derivative of the printed matrix.
     """
-    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    (*floats, visible), saved = render.project(x, Sigma, camera, settings, R)
+    (*floats, visible), saved = render.project(x, s, r, camera, settings)
     cast = (a.astype(x.dtype, copy=False) for a in floats)
 
     def pullback(mean2d_bar=None, conic_bar=None, depth_bar=None):
-        places = projection.backward(
-            saved, mean2d_bar=mean2d_bar, conic_bar=conic_bar, depth_bar=depth_bar
+        bars = factored.backward(
+            saved, mean2d_bar, np.zeros((len(x), 3)) if conic_bar is None else conic_bar, depth_bar
         )
-        axes_bars = covariance.axes_backward(saved_axes, places["Sigma"], places["R"])
-        bars = {"x": places["x"], **axes_bars}
         return {name: bar.astype(x.dtype, copy=False) for name, bar in bars.items()}
 
     return {**dict(zip(("mean2d", "cov2d", "conic", "depth"), cast)), "visible": visible}, pullback

@@ -7,9 +7,9 @@ import numpy as np
 from p4dgs_ref import model
 from p4dgs_ref.equations import prior, step
 from p4dgs_ref.equations.grid_nodes import locate
+from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.model import Context
-from p4dgs_ref.random_inputs import random_network
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from p4dgs_ref.training import objective
 from tests.golden.cases import Case, hash_grid, hash_rate
 from tests.golden.flat import EMPTY, flat_gradients, flat_networks, networks_of, shapes_of

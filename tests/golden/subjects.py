@@ -9,8 +9,9 @@ from typing import Callable, NamedTuple
 
 from p4dgs_ref.beyond import BEYOND
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS, BASELINE_EQUATIONS
+
 from p4dgs_ref.oracle import published, tolerance
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import shape_comments
 from tests.golden.cases import cases_of
 from tests.golden.hard_cases import catalogue

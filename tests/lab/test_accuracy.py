@@ -109,10 +109,10 @@ def test_cheaper_forms_err_more(errors):
 
 
 def test_forms_of_the_renderer_count_their_pairs(errors):
-    exact, fast, paper = (
-        errors["renderer"]["a frame", name]["pairs"] for name in ("exact", "fast", "paper")
+    exact, fast, kernel = (
+        errors["renderer"]["a frame", name]["pairs"] for name in ("exact", "fast", "kernel")
     )
-    assert fast < paper < exact == 300 * 48 * 48
+    assert fast < kernel < exact == 300 * 48 * 48
     pairs = [row["pairs"] for (line, _), row in errors["cut"].items() if line == "float32"]
     assert pairs == sorted(pairs, reverse=True) and pairs[-1] < 0.7 * pairs[0]
     of_8 = [row["pairs"] for (line, _), row in errors["stop"].items() if "8" in line]

@@ -10,7 +10,7 @@ from p4dgs_ref.__main__ import main
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations.rules import altered
 from tests.golden.hard_cases import catalogue
 

@@ -3,7 +3,7 @@
 import pytest
 
 from p4dgs_ref.oracle.streams import export
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import kill_matrix
 from tests.golden.kill_matrix import Judge
 from tests.oracle.answers import right, write

@@ -9,10 +9,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-
 from p4dgs_ref.lab.baselines import ALL_EQUATIONS
+
 from p4dgs_ref.oracle import checker, published, safetensors
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import FLOW, lacking, subjects
 from tests.golden.vectors import IDS, WRITTEN, damaged, listed, places_in

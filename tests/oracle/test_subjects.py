@@ -5,7 +5,7 @@ import pytest
 
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations import adjoint
 from tests.equations.adjoint import leaves
 from tests.golden import pipeline, scalars, scalars_coding, stages, stages_coding

@@ -6,7 +6,7 @@ import pytest
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import fast, loop
-from p4dgs_ref.splatting.settings import PAPER
+from p4dgs_ref.splatting.settings import KERNEL
 from p4dgs_ref.splatting.tiles import bin_splats
 from tests.equations import adjoint
 from tests.golden import kernel
@@ -48,14 +48,14 @@ def arguments(i):
     return *(kernel.definite(i)[name] for name in names), i["height"], i["width"]
 
 
-# --- the package's renderers, under the setting `paper` -----------------------------------------
+# --- the package's renderers, under the setting `kernel` ----------------------------------------
 @pytest.mark.parametrize("case", SPLATS, ids=lambda case: case.id)
 @pytest.mark.parametrize(
     "renderer, dtype", [(loop, "float64"), (fast, "float64"), (fast, "float32")]
 )
 def test_the_renderers_of_the_package_give_these_numbers(case, renderer, dtype):
     inputs, bars = wide(case)
-    (image, T), saved = renderer.forward(*arguments(inputs), PAPER._replace(dtype=dtype))
+    (image, T), saved = renderer.forward(*arguments(inputs), KERNEL._replace(dtype=dtype))
     got = named({"image": image, "transmittance": T}, renderer.backward(saved, bars["image_bar"]))
     assert verdict(case, got, dtype) == []
 
@@ -73,7 +73,7 @@ def test_the_lists_are_those_of_the_package(case):
         i["visible"],
         i["width"],
         i["height"],
-        PAPER,
+        KERNEL,
     )
     assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.row)
 
@@ -96,7 +96,7 @@ def test_what_is_within_a_pixel_adds_up(case):
     g, (x, y) = i["image_bar"][i["pixels"][:, 1], i["pixels"][:, 0]], i["pixels"].T
     alone = np.zeros_like(i["image_bar"])
     alone[y, x] = g
-    (_, T), saved = loop.forward(*arguments(i), PAPER._replace(dtype="float64"))
+    (_, T), saved = loop.forward(*arguments(i), KERNEL._replace(dtype="float64"))
     want = loop.backward(saved, alone)["alpha"]
     a, b, c = i["conic"].T[:, :, None]
     e_x, e_y = x - i["mean2d"][:, :1], y - i["mean2d"][:, 1:]

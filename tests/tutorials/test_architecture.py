@@ -3,7 +3,7 @@
 from matplotlib.patches import FancyBboxPatch
 
 from p4dgs_ref.lessons import TUTORIALS
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.tutorials import drawn
 from tutorials.tools import architecture
 

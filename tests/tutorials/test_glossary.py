@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tutorials.tools import glossary
 
 FOLDER = Path(__file__).resolve().parents[2] / "tutorials"

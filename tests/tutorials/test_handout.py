@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tutorials.tools import handout
 from tutorials.tools.shared import FOLDER
 

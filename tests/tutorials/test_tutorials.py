@@ -13,7 +13,7 @@ from p4dgs_ref.lab import effect_ledger, stability
 from p4dgs_ref.lab.accuracy import answers, verdicts
 from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import answers as solved
 from tests.tutorials import drawn
 from tests.tutorials import tutorial_form as form
@@ -146,7 +146,7 @@ def test_first_cell_links_the_files_of_its_equations(tutorial):
         linked[file] = number
     for key in tutorial.keys:
         equation = EQUATIONS[key]
-        assert linked[ROOT / f"{equation.module.replace('.', '/')}.py"] == equation.number.rstrip(
+        assert linked[ROOT / f"{equation.module.__name__.replace('.', '/')}.py"] == equation.number.rstrip(
             "'"
         )
 

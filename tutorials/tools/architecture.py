@@ -26,7 +26,7 @@ GAP, MARGIN = 0.6, 0.7  # between the boxes of a frame, and around them
 CENTRED = {"ha": "center", "va": "center_baseline"}
 
 
-# A part of the method: a title over boxes, one for an equation. A key is that of p4dgs_ref.table,
+# A part of the method: a title over boxes, one for an equation. A key is that of EQUATIONS,
 # or one of its own where the table has none.
 Frame = namedtuple("Frame", "title color left top width boxes")
 Box = namedtuple("Box", "key number text")

@@ -11,13 +11,13 @@ from collections import namedtuple
 from pathlib import Path
 
 import imageio.v3 as iio
+from p4dgs_ref.designs import decode
+from p4dgs_ref.lab.tables import curve, hundredfold
 
 from p4dgs_ref import output
-from p4dgs_ref.designs import decode
 from p4dgs_ref.lab import effect_ledger, stability
 from p4dgs_ref.lab.accuracy import answers, diagram, report, verdicts
 from p4dgs_ref.lab.accuracy.knobs import KNOBS
-from p4dgs_ref.lab.tables import curve, hundredfold
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.files import image_bytes
@@ -177,7 +177,7 @@ def take(out, pictures):
     """
     figures = {name: Path(out) / picture.figure for name, picture in PICTURES.items()}
     renewed = [name for name, figure in figures.items() if figure.is_file()]
-    with output.filled(pictures) as staging:
+    with output.staged_folder(pictures) as staging:
         for name in renewed:
             (staging / name).write_bytes(in_few_bytes(figures[name]))
     return renewed

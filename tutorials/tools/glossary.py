@@ -8,7 +8,7 @@ letters come from the list, because a program cannot read them in the code.
 import re
 from collections import namedtuple
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import shape_comments
 from tutorials.tools.shared import markdown_table
 
@@ -227,7 +227,7 @@ def links(places):
         equation = EQUATIONS[place.key]
         number = f"({equation.number})" if equation.number else place.key
         name = number.replace("')", f") {place.key}")  # "3'" is what Eq. (3) says by analogy
-        link = f"[{name}](../{equation.module.replace('.', '/')}.py)"
+        link = f"[{name}](../{equation.module.__name__.replace('.', '/')}.py)"
         made.setdefault(place.key, f"**{link}**" if place.computed else link)
     return made.values()
 

@@ -12,9 +12,10 @@ the curve together: each runs a part of `p4dgs-ref compare --curve --point I/N -
 import argparse
 import sys
 
-from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.tables.methods import CODED, OUR_PRESETS, OURS
+
+from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.output import filled
 from p4dgs_ref.report.figures import write_csv

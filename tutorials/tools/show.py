@@ -11,18 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
+from p4dgs_ref.designs import encode, quantised_of
 from scipy.special import ndtr
 
 from p4dgs_ref import lessons
-from p4dgs_ref.designs import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
-from p4dgs_ref.splatting import compositing, covariance, render
+from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
+from p4dgs_ref.training.progress import psnr
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
@@ -72,8 +72,7 @@ def splats(g, camera, which=slice(None)):
 
     These are mean2d [N, 2], cov2d and conic [N, 3], depth and visible [N].
     """
-    (Sigma, R), _ = covariance.axes(g.s, g.r)
-    return [values[which] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
+    return [values[which] for values in render.project(g.x, g.s, g.r, camera, EXACT)[0]]
 
 
 def to_pixels(x, camera):

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from p4dgs_ref.lessons import TUTORIALS, tutorial_of
 from p4dgs_ref.oracle.published import subjects
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tutorials.tools import architecture, gallery, glossary, handout, shared
 from tutorials.tools.notebooks import cells
 from tutorials.tools.shared import FOLDER, write_text
@@ -123,7 +123,7 @@ def exercises(source, keys):
 def equations_table(folder=FOLDER):
     """A Markdown table with one row for each equation."""
     asked = [item for t in TUTORIALS for item in facts(t, folder).exercises.items()]
-    files = {key: equation.module.replace(".", "/") + ".py" for key, equation in EQUATIONS.items()}
+    files = {key: equation.module.__name__.replace(".", "/") + ".py" for key, equation in EQUATIONS.items()}
     rows = [
         (
             EQUATIONS[key].number,

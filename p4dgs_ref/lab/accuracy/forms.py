@@ -16,10 +16,10 @@ from ...codec.gaussian_table import MU_BITS, SIGMA_BITS
 from ...codec.streams import decode_gaussian, encode_gaussian
 from ...equations import likelihood
 from ...oracle.compare import cast
-from ...random_inputs import cov2d_of, random_anchor_network, random_splats
 from ...splatting import fast
-from ...splatting.settings import EXACT, FAST, PAPER
-from ...table import EQUATIONS
+from ...splatting.settings import EXACT, FAST, KERNEL
+from ...splatting.table import EQUATIONS
+from ..random_inputs import cov2d_of, random_anchor_network, random_splats
 from . import formulas
 
 CUTS = {"1e-9": 1e-9, "1e-6": 1e-6, "5e-5": 5e-5, "1e-3": 1e-3, "1/255": 1 / 255, "1e-2": 1e-2}
@@ -85,7 +85,7 @@ def renderer(quick):
     """The three named settings, on small splats: a frame, and a frame with its gradients."""
     scene = splat_scene(*((300, 48) if quick else (1000, 64)))
     frames, both = (
-        {(line, s.name): s for s in (EXACT, FAST, PAPER)} for line in ("a frame", "with gradients")
+        {(line, s.name): s for s in (EXACT, FAST, KERNEL)} for line in ("a frame", "with gradients")
     )
     return rendered(frames, scene, picture, image_errors) | rendered(both, scene)
 

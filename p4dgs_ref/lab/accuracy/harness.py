@@ -245,7 +245,7 @@ def measure_trainings(knobs, files, folder, iterations, seeds, progress, jobs):
     missing = [training for training in every.values() if not training.path.exists()]
     minutes = sum(times[key]["seconds"] for key in runs) * seeds / jobs / 60
     progress(f"training: {len(missing)} of {len(every)}; all of them take {minutes:.0f} minutes")
-    with output.made(folder):
+    with output.writable_folder(folder):
         for done, _ in enumerate(in_processes(train_one, missing, jobs), 1):
             progress(f"training: {done} of {len(missing)} trainings")
     kept = {key: read_json(training.path, "a training's rows") for key, training in every.items()}

@@ -14,7 +14,7 @@ from ...beyond.networks import step_code
 from ...codec.quantise import quantise
 from ...equations.prior import layout
 from ...model import Model, join
-from ...splatting.settings import FAST, PAPER
+from ...splatting.settings import FAST, KERNEL
 from ...training.presets import TINY
 from .. import StudyError
 from . import forms
@@ -275,7 +275,7 @@ KNOBS = (
         "training renderer",
         "training",
         {"float64": dict(settings=FAST._replace(dtype="float64")), "fast": {}}
-        | {"paper": dict(settings=PAPER)},
+        | {"kernel": dict(settings=KERNEL)},
         "The renderer that the training uses; the test views are drawn by `fast`",
         "`settings` of `train`",
         spent="seconds",

@@ -17,10 +17,10 @@ from ...oracle import published
 from ...oracle.compare import compare, expected
 from ...oracle.ports import PortError
 from ...oracle.report import name_of
-from ...output import filled
+from ...output import staged_folder
 from ...report.figures import write_csv
 from ...scenes.fields import printable
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from ..writer import text_table
 from .held_back import cases, is_ordinary
 from .room import (
@@ -227,7 +227,7 @@ def details(student):
 
 def write(grades, folder):
     """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
-    with filled(Path(folder)) as staging:
+    with staged_folder(Path(folder)) as staging:
         (staging / "grades.txt").write_text(to_text(grades) + "\n", encoding="utf-8")
         (staging / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
         write_csv(staging / "grades.csv", rows_of(grades))

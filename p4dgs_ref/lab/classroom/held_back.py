@@ -10,7 +10,7 @@ import numpy as np
 
 from ...oracle import published, tolerance
 from ...oracle.compare import change_floats
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 
 ORDINARY_DRAWS = 3  # of every ordinary case; one of every other case
 # Rows are multiplied by 0.8 to 1, which preserves signs, zeros and upper bounds on magnitudes.

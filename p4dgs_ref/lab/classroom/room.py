@@ -11,16 +11,16 @@ from importlib import import_module
 from pathlib import Path
 
 from ...lessons import tutorial_of
-from ...limits import MAX_STUDENT_BYTES
 from ...oracle.report import name_of
-from ...output import filled
-from ...table import EQUATIONS
+from ...output import staged_folder
+from ...splatting.table import EQUATIONS
 
+MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the key has 6,000
 # Functions that contain the answer as well. They are removed together with forward and backward.
 HELPERS = {
     "compositing": ("alphas", "transmittances"),
     "covariance": ("rotation_matrix",),
-    "deformed": ("as_printed", "moved"),
+    "deformed": ("moved",),
     "grid_nodes": ("locate", "nodes", "entries"),
     "hash_grid": ("query",),
     "hash_rate": ("entropy",),
@@ -34,6 +34,7 @@ HELPERS = {
         "slopes",
     ),
     "masking": ("scatter",),
+    "projection": ("view", "view_backward", "covariance2d", "splats"),
     "ssim": ("dissimilarity",),
 }
 # Equations of which a part is a module of its own, which students write as well.
@@ -70,7 +71,7 @@ def hand_out(folder, only=None):
     for key in new:
         files |= {f"student/{name}.py": text for name, text in stubs_of(key).items()}
         files |= {f"key/{name}.py": text for name, text in sources_of(key).items()}
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         for name, text in files.items():
             (staging / name).parent.mkdir(exist_ok=True)
             (staging / name).write_text(text, encoding="utf-8")
@@ -116,7 +117,7 @@ def text_of(path):
 # --- the files that students get ------------------------------------------------------------------
 def modules_of(key):
     """Return {file name without .py: module} of an equation."""
-    package = EQUATIONS[key].module.rpartition(".")[0]
+    package = EQUATIONS[key].module.__package__
     return {name: f"{package}.{name}" for name in (key, *OTHER_MODULES.get(key, ()))}
 
 

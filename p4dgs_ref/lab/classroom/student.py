@@ -31,7 +31,7 @@ from ...lessons import WrongForm, gradients_of, outputs_of
 from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.ports import PortError
 from ...oracle.published import Golden, flatten
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from .room import modules_of, stubs_of, text_of
 
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -191,7 +191,7 @@ def alone(key):
     """
     for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
-    reference = import_module(EQUATIONS[key].module)
+    reference = import_module(EQUATIONS[key].module.__name__)
     for name, module in modules_of(key).items():
         delattr(sys.modules[reference.__package__], name)
         del sys.modules[module]
@@ -222,12 +222,12 @@ def load(path):
             del sys.modules[name]
         sys.modules.update({name: old for name, old in of_the_reference.items() if old})
     sys.modules[module.__name__] = module
-    return eq._replace(module=module.__name__)
+    return eq._replace(module=module)
 
 
 def executed(path, eq):
     """Return a module of an equation that holds what a student's file defines."""
-    package = eq.module.rpartition(".")[0]
+    package = eq.module.__package__
     module = ModuleType(f"{package}.{path.stem}_of_a_student")
     module.__package__, module.__file__ = package, str(path)
     exec(compile(text_of(path), str(path), "exec"), module.__dict__)

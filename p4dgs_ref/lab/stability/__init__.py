@@ -30,7 +30,7 @@ import numpy as np
 from ...oracle import published
 from ...oracle.compare import cast
 from ...report.figures import save_figure, styled, subplots, write_csv
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
 from ..writer import text_table

@@ -1,9 +1,9 @@
 """Every equation of the baselines: gradients, closed forms, shapes, purity, precision, twins."""
 
 import pytest
-
 from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
-from p4dgs_ref.table import Equation
+
+from p4dgs_ref.splatting.table import Equation
 from tests.equations import adjoint, rules
 from tests.golden.cases import cases_of
 
@@ -33,7 +33,7 @@ def case_of(key, name="ordinary"):
 
 def test_the_table_names_every_equation_of_the_room():
     for eq in BASELINE_EQUATIONS.values():
-        assert isinstance(eq, Equation) and eq.formula and eq.module.rpartition(".")[2] == eq.key
+        assert isinstance(eq, Equation) and eq.formula and eq.module.__name__.rpartition(".")[2] == eq.key
         assert eq.number[0] in "DHG" and eq.number[1:].isdigit()
     numbers = [eq.number for eq in BASELINE_EQUATIONS.values()]
     assert len(set(numbers)) == len(numbers)

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import run
 from p4dgs_ref.lab import classroom
 from p4dgs_ref.lab.classroom import student
 from p4dgs_ref.lab.classroom.room import (
+    MAX_STUDENT_BYTES,
     STUDENT,
     TEACHER,
     functions_in,
@@ -28,7 +28,7 @@ from p4dgs_ref.lab.classroom.student import ALIKE, alike, copies, joined, same_l
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting import loop
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests import processes
 from tests.sampling import few
 
@@ -391,7 +391,7 @@ def test_answers_written_independently_are_far_from_copies(path):
 
 
 def test_short_equations_are_alike_by_chance_and_the_teacher_knows_them():
-    assert f"at most {limits.MAX_STUDENT_BYTES:,} bytes" in STUDENT
+    assert f"at most {MAX_STUDENT_BYTES:,} bytes" in STUDENT
     short = [key for key in KEYS if not copies(source_of(key), key)]
     assert [key for key in KEYS if copies(stub_of(key), key)] == []
     assert "offsets" in short and "`, `".join(short) in " ".join(TEACHER.split())
@@ -412,9 +412,9 @@ REFUSED = {
     "from . import offsets": "p4dgs_ref.equations.offsets",
     "from .offsets import forward": "p4dgs_ref.equations.offsets",
     "import p4dgs_ref.equations.offsets": "p4dgs_ref.equations.offsets",
-    "from ..table import EQUATIONS": "p4dgs_ref.table",
+    "from ..splatting.table import EQUATIONS": "p4dgs_ref.splatting.table",
     "from p4dgs_ref import model": "p4dgs_ref.model",
-    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.table",
+    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.splatting.table",
     "import importlib; importlib.import_module('p4dgs_ref.oracle')": "p4dgs_ref.oracle",
     "__import__('p4dgs_ref.lab.classroom.held_back')": "p4dgs_ref.lab",
     "import sys; sys.modules['p4dgs_ref.equations.offsets']": "KeyError",
