@@ -73,7 +73,7 @@ def room_of(file):
 
 
 def entry_of(room):
-    """The entry that counts a room: the one that names it; modules of the root have one together."""
+    """The entry that names a room; modules of the root share one."""
     named = (entry for entry in CEILINGS if room in entry.replace(" with ", ", ").split(", "))
     return next(named, "cli, root")
 

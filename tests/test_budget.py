@@ -1,4 +1,4 @@
-"""The house stays small: counts within the budget, imports that point one way, all of it installed."""
+"""The house stays small: counts within the budget, imports that point one way, installed files."""
 
 import configparser
 import re

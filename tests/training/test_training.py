@@ -11,7 +11,7 @@ import pytest
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training import loop
+from p4dgs_ref.training import trainer as training
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
@@ -275,8 +275,8 @@ def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
     of_one_view = 4 * 8 * scene.train[0].image.size
-    for budget in (loop.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
-        monkeypatch.setattr(loop, "MAX_MOMENT_BYTES", budget)
+    for budget in (training.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
+        monkeypatch.setattr(training, "MAX_MOMENT_BYTES", budget)
         trainer = Trainer(scene, SHORT, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())
