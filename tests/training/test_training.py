@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
@@ -208,6 +209,14 @@ def test_snap_rounds_to_nearest_and_survives_flat_boxes():
     assert np.abs(positions[:3] - x[:3]).max() <= 4 / 65535 / 2 + 1e-12
     assert symbols.tolist()[3] == [65535, 0, 0]
     assert np.array_equal(snap(positions, lo, hi)[0], symbols)
+
+
+@pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
+def test_the_seed_decides_the_file(scene):
+    short = dict(preset="smoke", stage_ends=SHORT.stage_ends)
+    files = [p4.encode(p4.train(scene, seed=seed, **short)) for seed in (0, 0, 1)]
+    assert files[0] == files[1], "one seed gave two files"
+    assert files[0] != files[2], "two seeds gave one file"
 
 
 def test_every_view_comes_once_before_any_comes_twice(scene):
