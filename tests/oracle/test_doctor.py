@@ -273,6 +273,7 @@ def test_zero_negated_doubled_and_halved(key, quantity):
         assert rows[0].mistake.id or rows[0].mistake.description == f"{what} {words}"
 
 
+@pytest.mark.usefixtures("right_reference")
 def test_the_report_says_what_factor_which_gradient_has():
     eq = EQUATIONS["offsets"]
 
@@ -346,11 +347,13 @@ def of_one_equation():
     return random.Random(12).sample([m for m in mutations() if m.equation], 200)
 
 
+@pytest.mark.usefixtures("right_reference")
 def test_mutations_of_our_code(judge, hasty):
     assert survey(judge, random.Random(SEED).sample(of_one_equation(), 12))
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("right_reference")
 def test_more_mutations_of_our_code(judge):
     counts = survey(judge, of_one_equation())
     assert counts.total() >= 100 and counts["silent"] > counts["explained"] > 0
