@@ -1,6 +1,5 @@
 """The size ledger, the heat picture, and the format page."""
 
-import json
 import re
 
 import numpy as np
