@@ -111,7 +111,7 @@ const STEPS = [
   { shown: [], is: "page.state.playing && $('layer-paths').checked && $('layer-motion').checked" },
   { shown: ["coarser", "result", "trio"], is: "Number($('coarser').value) > 0" },
   { shown: ["anchor-guesses"], is: "$('anchor-guesses').querySelectorAll('.marked').length === 2" },
-  { shown: ["coarser", "result", "strip", "dropped"], is: "!$('legend').hidden" },
+  { shown: ["coarser", "result", "strip"], is: "!$('legend').hidden" },
   { shown: ["result", "trio", "weight", "frequency", "no-context"], is: "page.state.changed" },
 ];
 const PANELS = [...new Set(STEPS.flatMap(({ shown }) => shown))];

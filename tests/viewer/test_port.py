@@ -36,7 +36,7 @@ const pictures = (view) => [
   [...draw.onProcessor(draw.see(model, view, view.t).splats, draw.settings(model, view))],
 ];
 const drawn = JSON.parse(readFileSync(0)).map(pictures);
-const coarse = requantise(model, p4dgs.openContainer(data).sections, { coarser: 2 }).bytes;
+const coarse = requantise(model, { coarser: 2 }).bytes;
 console.log(JSON.stringify({ drawn, coarse, bits: [...anchorBits(model)] }));
 """
 
@@ -62,7 +62,7 @@ const [p4dgs, { requantise }] = ["p4dgs", "requantise"].map(
 );
 const data = new Uint8Array(require("fs").readFileSync(process.argv[2]));
 const model = p4dgs.decode(data);
-const broken = (how) => requantise(model, p4dgs.openContainer(data).sections, how).model.networks;
+const broken = (how) => requantise(model, how).model.networks;
 const weights = (networks) => Object.values(networks).flat().flatMap(({ W, b }) => [...W, ...b]);
 const own = weights(model.networks);
 const factors = weights(broken({ weight: true })).map((w, i) => w / own[i]);
