@@ -1,4 +1,4 @@
-"""The flat inputs of stages and of the pipeline, and the published cases of both.
+"""Subjects that stay as they were published, and the flat inputs of stages and of the pipeline.
 
 A network is two inputs, psi_c_weights [(I, J), ...] and psi_c_biases [(J,), ...]. A camera is five:
 W (3, 3) and T (3,) from world to camera, and focal, center, size (2,) in pixels, x before y.
@@ -11,6 +11,7 @@ from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.splatting.camera import Camera
 from tests.golden.cases import Case
+from tests.golden.subjects import Subject
 
 NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_p", "psi_q")
 CAMERA_SHAPES = {"W": "3 3", "T": "3", "focal": "2", "center": "2", "size": "2"}
@@ -80,13 +81,14 @@ def described(camera):
     )
 
 
-def as_published(key):
-    """Return a function that yields the published cases of a subject as Cases, in float64.
+def as_published(key, vjp, cases=None, **more):
+    """Return a Subject whose declaration, and cases where none are given, are the published ones.
 
-    Their inputs were drawn once by random numbers that mean nothing; the vectors hold them.
+    Those inputs were drawn once by random numbers that mean nothing; the vectors hold them.
     """
+    row = published.subjects()[key]
 
-    def cases():
+    def frozen():
         for case in published.cases(key):
             inputs, cotangents = (
                 cast(case.inputs(), np.float64),
@@ -94,4 +96,12 @@ def as_published(key):
             )
             yield Case(case.name, inputs, tuple(case.record["flags"]), cotangents=cotangents)
 
-    return cases
+    return Subject(
+        **{name: row[name] for name in ("key", "level", "equation", "number", "formula", "shapes")},
+        gradients=tuple(row["differentiable"]),
+        vjp=vjp,
+        cases=cases or frozen,
+        constants=row["constants"],
+        group=row.get("group", ""),
+        **more,
+    )

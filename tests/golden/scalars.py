@@ -12,7 +12,8 @@ from p4dgs_ref import EQUATIONS
 from p4dgs_ref.scenes.dnerf import make_camera
 from p4dgs_ref.splatting import covariance
 from tests.golden.cases import Case
-from tests.golden.subjects import CONSTANTS, Subject, no_pullback
+from tests.golden.flat import as_published
+from tests.golden.subjects import no_pullback
 
 
 def identity(y):
@@ -253,99 +254,11 @@ def lens_cases():
 
 
 SUBJECTS = (
-    Subject(
-        "tanh",
-        "L0",
-        "opacity",
-        "3",
-        "alpha = tanh y",
-        {"y": "n w", "alpha": "n w"},
-        ("y",),
-        of_feature("opacity"),
-        tanh_cases,
-    ),
-    Subject(
-        "sigmoid",
-        "L0",
-        "color",
-        "3'",
-        "color = sigmoid y",
-        {"y": "n 3", "color": "n 1 3"},
-        ("y",),
-        of_feature("color"),
-        sigmoid_cases,
-    ),
-    Subject(
-        "unit_quaternion",
-        "L0",
-        "rotation",
-        "3'",
-        "r = y / sqrt(|y|^2 + 1e-24)",
-        {"y": "n 4", "r": "n 1 4"},
-        ("y",),
-        of_feature("rotation"),
-        unit_cases,
-        CONSTANTS["rotation"],
-    ),
-    Subject(
-        "waves",
-        "L0",
-        "positional_encoding",
-        "",
-        "E = (p, sin 2^j p, cos 2^j p), j = 0 ... L-1",
-        {"p": "n 1", "L": "", "E": "n I"},
-        ("p",),
-        EQUATIONS["positional_encoding"].vjp,
-        waves_cases,
-    ),
-    Subject(
-        "rotation_matrix",
-        "L0",
-        "covariance",
-        "",
-        "R(r), r = (w, x, y, z)",
-        {"r": "n 4", "R": "n 3 3"},
-        (),
-        matrix_vjp,
-        matrix_cases,
-    ),
-    Subject(
-        "lens",
-        "L0",
-        "projection",
-        "",
-        "center = (cx, cy) / downscale - 1/2",
-        {
-            **dict.fromkeys(
-                ("camera_angle_x", "fl_x", "fl_y", "cx", "cy", "w", "h", "downscale"), ""
-            ),
-            "focal": "2",
-            "center": "2",
-        },
-        (),
-        lens_vjp,
-        lens_cases,
-    ),
-    Subject(
-        "pixel",
-        "L0",
-        "projection",
-        "",
-        "(u, v) = focal (X, Y) / Z + center, (X, Y, Z) = W x + T",
-        {
-            "x": "n 3",
-            "W": "3 3",
-            "T": "3",
-            "focal": "2",
-            "center": "2",
-            "size": "2",
-            "mean2d": "n 2",
-            "depth": "n",
-            "visible": "n",
-        },
-        ("x",),
-        pixel_vjp,
-        pixel_cases,
-        {"near": CONSTANTS["projection"]["near"]},
-    ),
+    as_published("tanh", of_feature("opacity"), tanh_cases),
+    as_published("sigmoid", of_feature("color"), sigmoid_cases),
+    as_published("unit_quaternion", of_feature("rotation"), unit_cases),
+    as_published("waves", EQUATIONS["positional_encoding"].vjp, waves_cases),
+    as_published("rotation_matrix", matrix_vjp, matrix_cases),
+    as_published("lens", lens_vjp, lens_cases),
+    as_published("pixel", pixel_vjp, pixel_cases),
 )

@@ -7,8 +7,9 @@ import numpy as np
 from p4dgs_ref.equations.grid_nodes import entries, nodes
 from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import Case
+from tests.golden.flat import as_published
 from tests.golden.scalars import identity
-from tests.golden.subjects import CONSTANTS, Subject, no_pullback
+from tests.golden.subjects import no_pullback
 
 PHI_0 = 1 / math.sqrt(2 * math.pi)
 
@@ -286,74 +287,10 @@ def bin_cases():
 
 
 SUBJECTS = (
-    Subject(
-        "grid_cell",
-        "L0",
-        "hash_grid",
-        "9",
-        "u (res - 1) = node + fraction",
-        {"x": "n", "lo": "", "hi": "", "res": "", "node": "n 2", "weight": "n 2"},
-        (),
-        cell_vjp,
-        cell_cases,
-    ),
-    Subject(
-        "hash_index",
-        "L0",
-        "hash_grid",
-        "9",
-        "row = (i XOR 2654435761 j XOR 805459861 k) mod 2^32 mod table",
-        {"corner": "n D", "res": "", "table": "", "row": "n"},
-        (),
-        row_vjp,
-        row_cases,
-    ),
-    Subject(
-        "step_floor",
-        "L0",
-        "step",
-        "8",
-        "q = max(2 Q_0 sigmoid(2 u), 2^-10 Q_0)",
-        {"u": "n G", "Q_0": "G", "q": "n G"},
-        ("u",),
-        step_vjp,
-        step_cases,
-        CONSTANTS["step"],
-    ),
-    Subject(
-        "sigma_clamp",
-        "L0",
-        "prior",
-        "12",
-        "sigma = exp(clip(raw, -14, 6))",
-        {"raw": "n w", "sigma": "n w"},
-        ("raw",),
-        sigma_vjp,
-        sigma_cases,
-        CONSTANTS["prior"],
-    ),
-    Subject(
-        "rounding_ties",
-        "L0",
-        "rounding",
-        "10",
-        "symbol = round_half_even(f / q)",
-        {"f": "A n", "q": "A 1", "symbols": "A n", "f_hat": "A n"},
-        (),
-        EQUATIONS["rounding"].vjp,
-        ties_cases,
-        CONSTANTS["rounding"],
-    ),
-    Subject(
-        "gaussian_bin",
-        "L0",
-        "likelihood",
-        "11",
-        "log_p = log(Phi(z + w/2) - Phi(z - w/2))",
-        {"z": "n", "w": "n", "log_p": "n", "slope_z": "n", "slope_w": "n"},
-        (),
-        bin_vjp,
-        bin_cases,
-        {"PHI_0": PHI_0},
-    ),
+    as_published("grid_cell", cell_vjp, cell_cases),
+    as_published("hash_index", row_vjp, row_cases),
+    as_published("step_floor", step_vjp, step_cases),
+    as_published("sigma_clamp", sigma_vjp, sigma_cases),
+    as_published("rounding_ties", EQUATIONS["rounding"].vjp, ties_cases),
+    as_published("gaussian_bin", bin_vjp, bin_cases),
 )

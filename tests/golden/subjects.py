@@ -40,9 +40,6 @@ class Subject(NamedTuple):
     vjp: Callable  # (**inputs) -> ({output: array}, pullback); pullback(**cotangents)
     cases: Callable  # () -> iterable of Case
     constants: dict = {}
-    # Where a gradient is straight-through: surrogate(**base)(**inputs) returns the outputs of a
-    # function whose derivative at `base` is that gradient.
-    surrogate: Callable | None = None
     single: bool = False  # all inputs and cotangents are float32 numbers, and stored as such
     steady: tuple = ()  # inputs that decide something, and are not changed to measure S
     even: tuple = ()  # tensors in which all numbers have the S of the largest
