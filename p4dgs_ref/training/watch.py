@@ -1,7 +1,7 @@
 """Watches calls of functions from outside, for the first NaN, for counts and for times.
 
-Nothing is replaced, and outside the `with` block nothing is slower. `find_first` runs an iteration
-again to name the equation, array and index that was the first to be NaN or infinite.
+Nothing is replaced, and outside the `with` block nothing is slower. `first_not_finite` runs an
+iteration again to name the equation, array and index that was the first to be NaN or infinite.
 """
 
 import sys
@@ -61,13 +61,12 @@ def first_bad(arrays, where=""):
         for i, array in enumerate(value if listed else [value]):
             wrong = np.argwhere(~np.isfinite(array))
             if len(wrong):
-                index = tuple(int(i) for i in wrong[0])
-                place = f"{name}[{i}]" if listed else name
-                return f"{where}{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+                index, place = wrong[0].tolist(), f"{name}[{i}]" if listed else name
+                return f"{where}{place}{index or ''} is {np.asarray(array)[tuple(index)]}"
     return None
 
 
-def find_first(inputs):
+def first_not_finite(inputs):
     """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
@@ -80,12 +79,12 @@ def find_first(inputs):
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
         if name == "forward":
-            equation = EQUATIONS[key.split(",")[0]]
-            phrases.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
+            value = EQUATIONS[key.split(",")[0]].named(value[0])
         else:
-            phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
+            name = "backward, gradient of"
+        phrases.append(first_bad(value, f"{where}, {name}: "))
 
-    with np.errstate(all="ignore"), watching(equation_codes(), see):
+    with watching(equation_codes(), see):
         losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [

@@ -230,7 +230,7 @@ LINES = [
     ("demo --set anchors=10000000", ("'anchors'", "at most 33554432 numbers")),
     ("train scene -o new --preset smoke --set anchors=10000000000000", ("'anchors'", "at most")),
     (f"demo --set anchors={'9' * 4000}", ("'anchors'", "positive number up to 1e+18")),
-    (f"demo --set anchors={'9' * 5000}", ("'anchors'", "like 10000")),
+    (f"demo --set anchors={'9' * 5000}", ("'anchors'", "like 200")),
     (f"demo --set grow_every={10**400}", ("'grow_every'", "up to 1e+18")),
     (f"demo --set stage_ends=1,2,3,{10**400}", ("'stage_ends'",)),
     (f"demo --seed {'9' * 5000}", ("--seed", "whole number")),
