@@ -15,7 +15,7 @@ from p4dgs_ref.scenes.scene import View
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import SMOKE, Preset, rows_of
+from p4dgs_ref.training.presets import FIELDS, SMOKE
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.flat import CAMERA_SHAPES, as_published, camera_of
 from tests.golden.pipeline import (
@@ -38,7 +38,7 @@ UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deform
 OFF_AFTER = {"deformation": ("time_net", "skip"), "lambda_ssim": ("lambda_volume",)}
 SETTINGS = [
     name
-    for field in rows_of(Preset)
+    for field in FIELDS
     if field not in UNUSED
     for name in (field, *OFF_AFTER.get(field, ()))
 ]
@@ -92,7 +92,7 @@ def views_of(W, T, focal, center, size, times, truth):
 
 def trainer_of(state, views, background, iteration, effects, settings):
     """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = replace(SMOKE, **{n: v for n, v in settings.items() if n in rows_of(Preset)})
+    preset = replace(SMOKE, **{n: v for n, v in settings.items() if n in FIELDS})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = Replayed(scene, preset, settings=EXACT)
     p, m, v = (
@@ -136,7 +136,7 @@ def steps(u, views, iteration, effects, draws=(), **inputs):
     settings = {name: inputs.pop(name) for name in SETTINGS}
     trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
     trainer.rng = GivenNumbers(u, draws)
-    trainer.order = views[::-1]
+    trainer.order = [*views[::-1]]
     for _ in views:
         rates = [trainer.rate_of(name) for name in ARRAYS]
         losses = trainer.step()[0]

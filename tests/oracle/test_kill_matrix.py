@@ -27,6 +27,7 @@ def test_mutations_are_killed_or_equivalent():
 
 
 # --- whether it is true -------------------------------------------------------------------------
+@pytest.mark.usefixtures("right_reference")
 def test_some_mutations_again(judge, hasty):
     survivors = {survivor["id"] for survivor in committed()["survivors"]}
     for mutation in DRAW.sample(mutations(), 60):
@@ -34,11 +35,13 @@ def test_some_mutations_again(judge, hasty):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("right_reference")
 def test_everything_again(judge):
     assert matrix(judge) == committed()
 
 
 # --- the judge ----------------------------------------------------------------------------------
+@pytest.mark.usefixtures("right_reference")
 def test_a_change_that_changes_nothing_is_not_killed(judge):
     with laboratory():
         assert judge.first_failure("offsets", {("p4dgs_ref.equations.offsets", None)}) is None

@@ -24,6 +24,7 @@ def test_list():
         assert text.endswith("...") or not text.endswith(".")
 
 
+@pytest.mark.usefixtures("right_reference")
 @pytest.mark.parametrize("mistake", few(MISTAKES, 24), ids=lambda mistake: mistake.id)
 def test_a_known_mistake_is_noticed_and_explained(mistake):
     """What its definition answers agrees with the doctor's data of this mistake alone.

@@ -27,7 +27,7 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
     outputs, pullback = eq.vjp(**inputs)
     got, want = flatten(outputs, "out."), flatten(value(key, inputs), "out.")
     if eq.gradients:
-        bars = cotangents_of(eq, outputs, f"{key}/{case.name}", case.cotangents)
+        bars = cotangents_of(eq, outputs, f"{key}/{case.name}") | case.cotangents
         bars = held(bars, dtype)
         got |= flatten(pullback(**bars), "in_bar.")
         want |= flatten(gradient(key, inputs, bars, samples=samples), "in_bar.")
