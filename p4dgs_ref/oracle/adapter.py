@@ -155,7 +155,7 @@ class Adapter(contextlib.AbstractContextManager):
                 self.says = self._exchange(
                     {"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle"
                 )
-                self.asked = ROLES if self.says.get("gradients", True) else ROLES[:1]
+                self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
                 require(
                     isinstance(listed, list) and all(name in known for name in listed),
