@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from p4dgs_ref.arithmetic import kernels
 from p4dgs_ref.beyond import trainer
 from p4dgs_ref.designs import PRESETS, choose, decode, encode
+
+from p4dgs_ref.arithmetic import kernels
 from p4dgs_ref.lab import clock
 from p4dgs_ref.lab.accuracy import answers, diagram, formulas, harness, knobs, report, verdicts
 from p4dgs_ref.lab.stability import plane

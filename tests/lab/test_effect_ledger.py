@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from p4dgs_ref.designs import decode, encode
+from p4dgs_ref.lab.tables.methods import OURS
 
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.quantise import without_silent_units
-from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
 from p4dgs_ref.lab import effect_ledger, writer
 from p4dgs_ref.lab.accuracy.harness import shortened
 from p4dgs_ref.lab.tables import methods
-from p4dgs_ref.lab.tables.methods import OURS
 from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene

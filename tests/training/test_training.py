@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training import loop
+from p4dgs_ref.training import trainer as training
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
@@ -160,6 +161,26 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
 
 
+def test_networks_start_upright_and_hardly_move(scene):
+    """Compared with a start from the same random numbers without the preset's changes."""
+    changes = dict(upright=True, deformation_gain=0.01, opacity_bias=0.5)
+    plainly = dict(upright=False, deformation_gain=1.0, opacity_bias=0.0)
+    effects = (*scene.effects, "rotation", "scaling")
+    p, plain = (
+        initial_parameters(preset, design_of(preset, effects), np.random.default_rng(0))
+        for preset in (replace(SMOKE, **change) for change in (changes, plainly))
+    )
+    layer, trunk = len(SMOKE.hidden), len(SMOKE.deformation)
+    turned = (p[f"psi_r.b{layer}"] - plain[f"psi_r.b{layer}"]).reshape(-1, 4)
+    assert np.allclose(turned, [1, 0, 0, 0], atol=1e-6)
+    assert np.allclose(p[f"psi_alpha.b{layer}"] - plain[f"psi_alpha.b{layer}"], 0.5, atol=1e-6)
+    for name in (f"psi_d.{kind}{trunk + head}" for kind in "Wb" for head in range(3)):
+        assert np.allclose(p[name], 0.01 * plain[name], rtol=1e-5), name
+    assert np.array_equal(p["psi_d.W0"], plain["psi_d.W0"])
+    for weights in (plain["psi_d.b0"], p["grid.0"]):
+        assert weights.min() < 0 < weights.max() and abs(weights.mean()) < 0.5 * weights.max()
+
+
 @pytest.mark.parametrize(
     "points", [np.zeros((0, 3)), [], np.zeros((4, 2)), np.zeros(3), np.full((2, 3), np.nan)]
 )
@@ -208,6 +229,14 @@ def test_snap_rounds_to_nearest_and_survives_flat_boxes():
     assert np.abs(positions[:3] - x[:3]).max() <= 4 / 65535 / 2 + 1e-12
     assert symbols.tolist()[3] == [65535, 0, 0]
     assert np.array_equal(snap(positions, lo, hi)[0], symbols)
+
+
+@pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
+def test_the_seed_decides_the_file(scene):
+    short = dict(preset="smoke", stage_ends=SHORT.stage_ends)
+    files = [hash(p4.encode(p4.train(scene, seed=seed, **short))) for seed in (0, 0, 1)]
+    assert files[0] == files[1], "one seed gave two files"
+    assert files[0] != files[2], "two seeds gave one file"
 
 
 def test_every_view_comes_once_before_any_comes_twice(scene):
@@ -275,12 +304,12 @@ def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
     of_one_view = 4 * 8 * scene.train[0].image.size
-    for budget in (loop.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
-        monkeypatch.setattr(loop, "MAX_MOMENT_BYTES", budget)
+    for budget in (training.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
+        monkeypatch.setattr(training, "MAX_MOMENT_BYTES", budget)
         trainer = Trainer(scene, SHORT, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())
-        most.append(len(trainer.moments))
+        most.append(trainer.moments_of.cache_info().currsize)
     assert ends[0] == ends[1] == ends[2] and most == [5, 2, 0]
 
 

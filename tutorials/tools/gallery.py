@@ -12,12 +12,12 @@ from pathlib import Path
 
 import imageio.v3 as iio
 from p4dgs_ref.designs import decode
-from p4dgs_ref.lab.tables import curve, hundredfold
 
 from p4dgs_ref import output
 from p4dgs_ref.lab import effect_ledger, stability
 from p4dgs_ref.lab.accuracy import answers, diagram, report, verdicts
 from p4dgs_ref.lab.accuracy.knobs import KNOBS
+from p4dgs_ref.lab.tables import curve, hundredfold
 from p4dgs_ref.report import figures, jobs
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.files import image_bytes

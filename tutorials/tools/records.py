@@ -12,12 +12,12 @@ the curve together: each runs a part of `p4dgs-ref compare --curve --point I/N -
 import argparse
 import sys
 
-from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.tables.methods import CODED, OUR_PRESETS, OURS
 
 from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.lab.tables import ablate, curve, methods
 from p4dgs_ref.lab.writer import read_csv
-from p4dgs_ref.output import filled
+from p4dgs_ref.output import staged_folder
 from p4dgs_ref.report.figures import write_csv
 from p4dgs_ref.scenes import load_scene
 from tutorials.tools.shared import FOLDER
@@ -78,7 +78,7 @@ def main(name, jobs, is_made=False):
     if not is_made:
         methods.make_missing(missing, lambda line: print(line, file=sys.stderr, flush=True), jobs)
     kept |= {name_of(row): row for row in MADE.get(name, methods.made)(missing)}
-    with filled(FOLDER / "records") as staging:
+    with staged_folder(FOLDER / "records") as staging:
         write_csv(
             staging / f"{name}.csv",
             [kept[key] for key in map(name_of_task, every) if key in kept],

@@ -11,11 +11,11 @@ from dataclasses import fields, replace
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from p4dgs_ref.beyond import file
-from p4dgs_ref.lab.tables import compare
 from scipy.special import ndtr
 
 from p4dgs_ref import designs, lessons, model, output
 from p4dgs_ref.codec import quantise, rans
+from p4dgs_ref.lab.tables import compare
 from p4dgs_ref.report import evaluate, figures, inspect
 from p4dgs_ref.scenes import load, simulator
 from p4dgs_ref.scenes.files import write_image

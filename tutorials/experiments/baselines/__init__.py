@@ -19,7 +19,7 @@ from p4dgs_ref import designs
 from p4dgs_ref.scenes.fields import require
 from p4dgs_ref.scenes.files import reading
 from p4dgs_ref.splatting.settings import FAST
-from p4dgs_ref.table import EQUATIONS, Equation
+from p4dgs_ref.splatting.table import EQUATIONS, Equation
 from p4dgs_ref.training.presets import read_changes
 from .. import entry
 from . import coded, d3dgs, explicit, gaussian4d, half, hexplane

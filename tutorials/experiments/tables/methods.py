@@ -312,7 +312,7 @@ def make(task):
         model, seconds = load(task.trained.path), row_of(task.trained)["train_seconds"]
     else:
         model, (seconds, _) = clocked(fit, task)
-    with output.made(task.folder):
+    with output.writable_folder(task.folder):
         sizes = write(task, model)
     model = load(task.path)
     metrics, _, _ = evaluate(model, task.scene)
