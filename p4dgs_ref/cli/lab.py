@@ -133,6 +133,8 @@ def grade(arguments):
             seed=arguments.seed,
             progress=progress,
         )
+        text = room.to_text(grades)
         if staging:
-            room.write(grades, staging)
-    show(arguments, grades, room.to_text(grades))
+            (staging / "grades.txt").write_text(f"{text}\n", encoding="utf-8")
+            write_csv(staging / "grades.csv", room.rows_of(grades))
+    show(arguments, grades, text)

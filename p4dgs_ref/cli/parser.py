@@ -356,7 +356,7 @@ GROUPS = {
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
-                output("folder for grades.txt, .json and .csv"),
+                output("folder for grades.txt and grades.csv"),
             ),
         ),
     },
