@@ -164,13 +164,12 @@ def gains(rows):
         psnr.setdefault(row["label"], {})[row["seed"]] = row["psnr_db"]
     found = {}
     for effect in MODEL_EFFECTS:
-        sign = -1 if f"with {effect}" in psnr else 1
-        other = psnr[f"{'with' if sign < 0 else 'without'} {effect}"]
-        each = [sign * (psnr[AS_LISTED][seed] - other[seed]) for seed in other]
-        found[effect] = {
-            "gain": float(np.mean(each)),
-            "within": float(twice_standard_error(each)),
-        }
+        on, off = psnr[AS_LISTED], psnr.get(f"without {effect}")
+        if off is None:
+            on, off = psnr[f"with {effect}"], on
+        each = [on[seed] - off[seed] for seed in on]
+        within = float(twice_standard_error(each))
+        found[effect] = {"gain": float(np.mean(each)), "within": within}
     return found
 
 
@@ -202,20 +201,16 @@ def amount(row, kind):
 def to_text(result):
     """The ledger as text, a line per effect, and the equations that were never called."""
     columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
-    columns |= {"bytes of weights": "{bytes}"}
-    rows = result["effects"]
+    columns |= {"bytes of weights": "{bytes}", "gain (dB, test views)": "{gain}"}
     cells = [
         {
             "effect": row["effect"],
             "yes": "yes" if row["listed"] else "no",
-            "work": amount(row, "work"),
-            "bytes": amount(row, "bytes"),
-            "gain": said(row) if "gain" in row else "",
+            **{kind: amount(row, kind) for kind in ("work", "bytes")},
+            "gain": said(row) if "gain" in row else "not measured",
         }
-        for row in rows
+        for row in result["effects"]
     ]
-    if "gain" in rows[0]:
-        columns["gain (dB, test views)"] = "{gain}"
     never = ", ".join(result["never_called"]) or "none of those that only an effect needs"
     return "\n".join([*text_table(columns, cells), "", f"equations never called: {never}"])
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...arithmetic import arithmetic
 from ..clock import Times, alternate, can_tell, disturbance
-from ..writer import read_csv, text_table
+from ..writer import grouped, read_csv, text_table
 from . import forms, trainings
 
 TURNS = 5  # of every form, at least
@@ -108,7 +108,7 @@ def read(path):
 
 def by_question(rows):
     """The rows of each question, {name: rows}, the reference first."""
-    return {name: [row for row in rows if row["question"] == name] for name in QUESTIONS}
+    return {name: group for (name,), group in grouped(rows, "question").items()}
 
 
 def compared(row, reference):

@@ -17,7 +17,7 @@ from ...training.presets import TINY, choose
 from ...training.trainer import Trainer
 from ..clock import alternate, clocked, step_at
 from ..processes import in_processes
-from ..writer import read_csv, twice_standard_error
+from ..writer import grouped, read_csv, twice_standard_error
 
 RECORD = Path(__file__).with_name("training.csv")
 SCENE, SEEDS = "bouncing", 3
@@ -83,16 +83,16 @@ def read():
 
 def points(rows):
     """What a panel shows of some rows: {length: the seconds, and the dB lost to the longest}."""
-    of = {n: [row for row in rows if row["iterations"] == n] for n in LENGTHS}
-    found = {}
-    for n, group in of.items():
-        lost = [best["psnr_db"] - row["psnr_db"] for best, row in zip(of[LENGTHS[0]], group)]
-        low, median, high = np.percentile([row["seconds"] for row in group], (25, 50, 75))
+    of, found = grouped(rows, "iterations"), {}
+    for (n,), group in of.items():
+        best = of[max(LENGTHS),]
+        lost = [longest["psnr_db"] - row["psnr_db"] for longest, row in zip(best, group)]
+        low, median, high = 1e3 * np.percentile([row["seconds"] for row in group], (25, 50, 75))
         found[f"{n:,}"] = {
-            "ms": 1e3 * median,
-            "ms_low": 1e3 * low,
-            "ms_high": 1e3 * high,
             "loss": float(np.mean(lost)),
             "within": float(twice_standard_error(lost)),
+            "ms": float(median),
+            "ms_low": float(low),
+            "ms_high": float(high),
         }
     return found

@@ -82,7 +82,7 @@ def rows(only=None):
     """Run all cases in both precisions, or only the case or the group of cases `only`.
 
     Return a list of dictionaries for JSON with id, equation, says, dtype and the fields of
-    `judged`. Infinities and NaN are text.
+    `measure`. Infinities and NaN are text.
     """
     cases = hard_cases().values()
     wanted = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
@@ -100,33 +100,21 @@ def rows(only=None):
 
 
 def measure(case, dtype):
-    """Run an equation on a case in one precision, both ways; returns the fields of `judged`."""
-    equation, true = EQUATIONS[case["equation"]], case["true"]
-    outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
-    gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
-    bars = {name + "_bar": a for name, a in gradients.items()}
-    name, index = case["shown"]
-    which = DTYPES.index(dtype)
-    return judged(
-        case["literal"][which],
-        pick({**outputs, **bars}[name], index),
-        pick(true[name], index),
-        worst(outputs, true, case["each"]),
-        worst(bars, true, False),
-        *case["bounds"][which],
-    )
-
-
-def judged(literal, ours, true, error, grad_error, bound, grad_bound):
-    """The fields of a row that are found by running it, with its verdict.
+    """What an equation returns on a case in one precision, with its errors and a verdict.
 
     Errors are relative; one that is NaN fails, and None means that there is no gradient.
     """
+    equation, true, which = EQUATIONS[case["equation"]], case["true"], DTYPES.index(dtype)
+    outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
+    gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
+    bars = {name + "_bar": a for name, a in gradients.items()}
+    (name, index), (bound, grad_bound) = case["shown"], case["bounds"][which]
+    error, grad_error = worst(outputs, true, case["each"]), worst(bars, true, False)
     good = error <= bound and (grad_error is None or grad_error <= grad_bound)
     return {
-        "literal": literal,
-        "ours": json_number(ours),
-        "true": json_number(true),
+        "literal": case["literal"][which],
+        "ours": json_number(pick({**outputs, **bars}[name], index)),
+        "true": json_number(pick(true[name], index)),
         "error": json_number(error),
         "grad_error": json_number(grad_error),
         "bound": bound,
