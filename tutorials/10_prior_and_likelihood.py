@@ -251,8 +251,8 @@ assert printed_9 == np.inf
 assert printed_6 == np.inf
 
 # %% [markdown]
-# The Gaussian is symmetric, so we can use the mirrored bin on the left, where $\Phi$ is small and
-# keeps all its digits:
+# At $z = -9$ nothing is wrong: to the left of the mean, $\Phi$ is small and keeps all its digits.
+# The Gaussian is symmetric, so we can use the mirrored bin there:
 # $$p = \Phi(-low) - \Phi(-high), \qquad
 # low = |z| - \tfrac{1}{2}w, \quad high = |z| + \tfrac{1}{2}w$$
 # Now the bin at $z = 9$ costs 56.6 bits. If a bin contains the mean, its probability is one minus
@@ -260,12 +260,14 @@ assert printed_6 == np.inf
 
 # %%
 mirrored_9 = -math.log2(ndtr(-8.5) - ndtr(-9.5))
+assert close(likelihood.literal(one(-9), one(0), one(1), one(1))[0, 0], mirrored_9)
 bits_9, _ = likelihood.forward(one(9), one(0), one(1), one(1))
 assert close(bits_9[0, 0], mirrored_9)
 print(f"z = 9 costs {mirrored_9:.1f} bits")
 
 # %% [markdown]
-# At $z = 39$, even $\Phi(-low)$ is too small for a float, but its logarithm is not. SciPy has the
+# Mirroring the bin is half of the remedy (`24_hard_cases` shows both sides on a map). From about
+# $z = 38$ on, even $\Phi(-low)$ is too small for a float, but its logarithm is not. SciPy has the
 # function $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$, which omits the factor that becomes so
 # small. With $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$, we get
 # $\log p = \log g - \frac{1}{2}low^2$, where

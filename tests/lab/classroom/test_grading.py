@@ -390,7 +390,7 @@ def test_command_line_grades_and_refuses_in_one_line(room, capsys):
     text = capsys.readouterr().out
     assert (room / "marks" / "grades.txt").read_text(encoding="utf-8") == text
     rows = csv.DictReader((room / "marks" / "grades.csv").read_text(encoding="utf-8").splitlines())
-    assert [(row["points"], row["of"], row["seed"]) for row in rows] == [("0", "10", "3")]
+    assert [(row["points"], row["of"], row["seed"]) for row in rows] == [("0.0", "10", "3")]
     file = room / "README.md"  # found before anything is graded
     assert run(["grade", str(room), "-o", str(file)], 0) == 2
     assert run(["grade", str(room), str(room / "nobody")], 0) == 2
