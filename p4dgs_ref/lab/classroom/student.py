@@ -124,8 +124,9 @@ def answer(eq, request):
     pair = eq.forward(**case.inputs())
     if not isinstance(pair, tuple) or len(pair) != 2:
         raise WrongForm("expected a pair, the output and what backward needs")
-    values, role = outputs_of(pair[0], eq.outputs), "out"
-    if request["subject"] == "backward":
+    if request["subject"] == "forward":
+        values, role = outputs_of(pair[0], eq.outputs), "out"
+    else:
         values, role = (
             gradients_of(eq.backward(pair[1], **case.cotangents()), eq.gradients),
             "in_bar",

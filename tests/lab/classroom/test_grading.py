@@ -111,7 +111,7 @@ symbols = (sign * np.floor(np.abs(f / q) + 0.5)).astype(np.int64)
 return (symbols, symbols * q), ()"""
 LIST = """v = x_a - x_c
 d = np.sqrt((v * v).sum(axis=1, keepdims=True))
-return [d, v / d], (d, v)"""
+return [d, v / d], (d, v / d)"""
 # key, forward, backward, points, some parts, what `says` says
 NO_FORWARD = {"forward": "0 of 3", "gradients": "9 of 9", "hard cases": "9 of 12"}
 NOTHING = {"forward": "0 of 3", "gradients": "0 of 9", "hard cases": "0 of 12"}
@@ -127,7 +127,7 @@ GRADED = {
         "forward: error in offsets/ordinary: NotImplementedError: later",
     ),
     "a gradient without its sum": (
-        *("offsets", None, NO_SUM, 8, {"forward": "3 of 3", "gradients": "6 of 9"}),
+        *("offsets", None, NO_SUM, 8.3333, {"forward": "3 of 3", "gradients": "6 of 9"}),
         "backward: the gradient of x_a: 15 of 15 numbers are wrong",
     ),
     "a known mistake, not punished twice": (
@@ -152,7 +152,7 @@ GRADED = {
     ),
     "an error": ("offsets", "return 1 / 0", None, 0, NOTHING, "ZeroDivisionError"),
     "a list of outputs": (
-        *("view", LIST, None, 3.5, {"forward": "0 of 6"}),
+        *("view", LIST, None, None, {"forward": "0 of 6", "gradients": "3 of 3"}),
         "forward: expected a tuple of 2 outputs, delta_vc, d_vc, got 1 of type list",
     ),
     # beside a tie, adding a half rounds up, which is another mistake than the known one
