@@ -10,11 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import run
 from p4dgs_ref.lab import classroom
 from p4dgs_ref.lab.classroom import similar, student
-from p4dgs_ref.lab.classroom.room import STUDENT, TEACHER, functions_of, source_of, stub
+from p4dgs_ref.lab.classroom.room import (
+    MAX_STUDENT_BYTES,
+    STUDENT,
+    TEACHER,
+    functions_of,
+    source_of,
+    stub,
+)
 from p4dgs_ref.lab.classroom.similar import alike
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import published
@@ -255,7 +261,7 @@ SHORT = [key for key in KEYS if not alike(key, source_of(key), source_of(key) + 
 
 
 def test_the_key_is_like_itself_but_short_equations_are_alike_by_chance():
-    assert f"at most {limits.MAX_STUDENT_BYTES:,} bytes" in STUDENT
+    assert f"at most {MAX_STUDENT_BYTES:,} bytes" in STUDENT
     assert "`, `".join(SHORT) in " ".join(TEACHER.split()) and "offsets" in SHORT
     assert all(alike(key, source_of(key), source_of(key)) for key in KEYS)
     assert not any(alike(key, stub(key), source_of(key)) for key in KEYS)
