@@ -48,7 +48,6 @@ def draw_panel(ax, rows, width):
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.grid(True, color="#dddddd")
-    ax.set_axisbelow(True)
 
 
 @styled(STYLE)
