@@ -122,7 +122,7 @@ def scene_of(moments, moves):
 # decoded from its file before it is evaluated.
 
 # %%
-from p4dgs_ref.lab.accuracy.harness import reduced
+from p4dgs_ref.lab.accuracy.trainings import reduced
 from p4dgs_ref.report.evaluate import evaluate, psnr
 from p4dgs_ref.training.trainer import Trainer
 

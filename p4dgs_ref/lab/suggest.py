@@ -20,8 +20,7 @@ from ..splatting.camera import Camera
 from ..training.presets import TINY
 from ..training.progress import psnr
 from ..training.trainer import Trainer
-from .accuracy.harness import step_at
-from .clock import alternate
+from .clock import alternate, step_at
 from .processes import in_processes
 
 # The iterations of a training, and the pairs, each of which keeps another part of the views back.
@@ -70,7 +69,7 @@ def steps_of(tasks):
 def seconds_of(scene, jobs=1):
     """About how many seconds `suggest` takes, judging by steps in which things move."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
-    ms = alternate({"step": step}, 5)["step"].median
+    ms = alternate({"step": step}, 5)["step"].ms
     return 1e-3 * ms * steps_of(planned(scene)) / jobs
 
 
@@ -155,17 +154,13 @@ def scores(scene, first, seconds, effects, fold, iterations):
         return Trainer(replace(scene, train=kept, effects=tuple(effects)), short(iterations), fold)
 
     trainer, results = trainer_of(first), []
-    with np.errstate(all="ignore"):
-        while trainer.iteration < iterations // 2:
-            trainer.step()
-        arrays, values = trainer.state()
-        for views in seconds:
-            other = trainer_of(views)
-            other.restore({name: np.copy(a) for name, a in arrays.items()}, values)
-            model, judged = other.run(), [views[i] for i in held_out]
-            results.append(
-                np.array([psnr(model.render(v.camera, v.time), v.image) for v in judged])
-            )
+    while trainer.iteration < iterations // 2:
+        trainer.step()
+    for views in seconds:
+        other = trainer_of(views)
+        other.restore(*trainer.state())
+        model, judged = other.run(), [views[i] for i in held_out]
+        results.append(np.array([psnr(model.render(v.camera, v.time), v.image) for v in judged]))
     return results
 
 

@@ -120,6 +120,15 @@ def test_an_outlier_comes_back(formula, comes_back):
 
 
 # --- the map -------------------------------------------------------------------------------------
+def test_the_map_shows_both_sides_of_the_mean(monkeypatch):
+    figures = []
+    monkeypatch.setattr(stability, "save_figure", lambda figure, path: figures.append(figure))
+    stability.draw_front(None)
+    axes, *_ = figures[0].axes
+    assert axes.get_ylim() == (-1000, 1000) and axes.get_title() == "as printed, float64"
+    shown = axes.collections[0].get_array() > stability.LEVELS[1]  # red
+    below, above = np.split(shown, 2)
+    assert 0.2 < below.mean() < 0.25 and 0.33 < above.mean() < 0.35
 
 
 # --- the command ---------------------------------------------------------------------------------
