@@ -25,13 +25,13 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-
-from p4dgs_ref import lessons
 from p4dgs_ref.beyond import networks as coded_networks
 from p4dgs_ref.beyond import weight_bits
 from p4dgs_ref.beyond.networks import step_code, step_of_code
 from p4dgs_ref.beyond.weights import write_weights
 from p4dgs_ref.designs import PRESETS
+
+from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, noise, positional_encoding
 from p4dgs_ref.lab.writer import bd_rate
 from p4dgs_ref.training.parameters import Adam, Parameters, random_layers
