@@ -20,13 +20,14 @@ the one before it has float32: what is not coded in training is quantised and co
 from dataclasses import replace
 
 import numpy as np
+from p4dgs_ref.writer import means, seeds_of, text_table, twice_standard_error
 
 from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.report.figures import write_csv
 from p4dgs_ref.training.presets import TINY
+
 from .. import baselines
-from p4dgs_ref.writer import means, seeds_of, text_table, twice_standard_error
 from . import methods
 from .methods import ALIKE, AS_STORED, CODED, OURS
 
