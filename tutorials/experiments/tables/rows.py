@@ -93,7 +93,7 @@ def rows(tasks, name, folder, part=(1, 1), jobs=1):
     """
     for task in tasks:
         if not task.scene.test:
-            raise SceneError(f"scene {task.scene.name}: split 'test': no views to measure on")
+            raise SceneError(f"scene {task.scene.name}", "split 'test': no views to measure on")
     i, n = part
     trainings = list(dict.fromkeys(task.training for task in tasks))[i - 1 :: n]
     own = [task for task in tasks if task.training in trainings]
