@@ -6,9 +6,9 @@ import numpy as np
 
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
-from p4dgs_ref.training.progress import Progress
 from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.presets import TINY, Preset
+from p4dgs_ref.training.progress import Progress
 
 from .networks import Layout, initial_log_steps, learned_steps, rounded_networks
 from .positions import snap

@@ -49,6 +49,7 @@ from p4dgs_ref.codec.streams import (
     ideal_bits_gaussian,
 )
 from p4dgs_ref.limits import MAX_STEPS
+
 from .networks import step_of_code
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)

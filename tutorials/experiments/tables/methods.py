@@ -8,15 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.report.inspect import components
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 
 from .. import baselines
+from ..coded_networks import file, training
 from .rows import Task
 
-PAPERS = "p4dgs"  # the paper's design
+PAPERS, CODED = "p4dgs", "p4dgs_coded"  # the paper's design, and networks that pay for their bits
+GAUSSIANS = ("positions", "features", "scales", "offset_scales", "offsets", "masks")  # sections
 # The fields of presets that are counted in iterations, besides `stage_ends`.
 DATES = (
     *("iterations", "warm_up", "noise_until", "x_until", "sh_every", "decay_from", "mask_from"),
@@ -35,23 +37,43 @@ def lasting(preset, iterations):
     return replace(preset, **changes)
 
 
-def trainer_of(task):
-    """The Trainer of the paper's design, before its first step."""
-    preset = lasting(choose("tiny", task.changes), task.iterations)
-    return Trainer(task.scene, preset, task.seed)
+def preset_of(task):
+    """The preset `tiny` with the changes of a Task and its iterations."""
+    return lasting(choose("tiny", task.changes), task.iterations)
 
 
 def make(task, path, source=None):
-    """Train the paper's design and write its file; returns its bytes by kind."""
+    """Train the paper's design and write its file; returns columns of the row."""
+    return save(Trainer(task.scene, preset_of(task), task.seed), path)
+
+
+def make_coded(task, path, source=None):
+    """The same with coded networks."""
+    trainer = training.Trainer(task.scene, preset_of(task), task.seed)
+    return save(trainer, path, file.encode, file.read_container)
+
+
+def save(trainer, path, encode=encode, read_container=read_container):
+    """Train and write the file of the model; returns its bytes by kind and the price of a bit.
+
+    The hash grid counts among the networks, like the planes of 4DHexPlane.
+    """
     with np.errstate(all="ignore"):  # the trainer looks for non-finite values itself
-        return save(trainer_of(task).run(), path)
-
-
-def save(model, path):
-    """Write the file of a model of the paper's design; returns its bytes by kind."""
-    data = encode(model)
+        data = encode(trainer.run())
     path.write_bytes(data)
-    return kinds(components(data))
+    sizes = {name: len(body) for name, body in read_container(data).items()}
+    gaussians = sum(sizes[name] for name in GAUSSIANS)
+    network = sum(sizes.values()) - gaussians - sizes["header"]
+    return {
+        "lambda_rate": trainer.preset.lambda_rate,
+        **columns(gaussians=gaussians, network=network, other=len(data) - gaussians - network),
+        "deformation_bytes": sizes.get("deformation_mlp", 0),
+    }
+
+
+def columns(**sizes):
+    """The columns of a row that have some sizes."""
+    return {f"{kind}_bytes": size for kind, size in sizes.items()}
 
 
 def load(path):
@@ -59,19 +81,9 @@ def load(path):
     return decode(path.read_bytes())
 
 
-def kinds(sizes):
-    """The columns of a row that say how many bytes Gaussians, networks and the rest take.
-
-    The hash grid counts among the networks, like the planes of 4DHexPlane.
-    """
-    of_networks = [n for name, n in sizes.items() if name.endswith(("mlp", "mlps", "hash_grid"))]
-    gaussians = sum(sizes.values()) - sum(of_networks) - sizes["header"]
-    return columns({"gaussians": gaussians, "network": sum(of_networks), "other": sizes["header"]})
-
-
-def columns(sizes):
-    """The columns of a row that have some sizes."""
-    return {f"{kind}_bytes": size for kind, size in sizes.items()}
+def load_coded(path):
+    """The model in a file with coded networks."""
+    return file.decode(path.read_bytes())
 
 
 def make_baseline(task, path, source=None):
@@ -81,11 +93,12 @@ def make_baseline(task, path, source=None):
     preset = baselines.choose(task.method, changes={**limit, **task.changes})
     trainer = module.Trainer(task.scene, lasting(preset, task.iterations), task.seed)
     with np.errstate(all="ignore"):
-        return columns(trainer.run().save(path))
+        return columns(**trainer.run().save(path))
 
 
 METHODS = {
     PAPERS: (make, load, "p4dgs"),
+    CODED: (make_coded, load_coded, "p4dgs"),
     **dict.fromkeys(baselines.METHODS, (make_baseline, baselines.load, "ply")),
 }
 

@@ -40,9 +40,9 @@ from p4dgs_ref.scenes import Scene, SceneError
 from p4dgs_ref.signals import handled, interrupt
 from p4dgs_ref.training.watch import NotFinite
 
+from .. import RECORDS
 from .validation import held_back
 
-RECORDS = Path(__file__).parents[1] / "records"
 KEY = ("scene", "label", "seed", "iterations")
 TEXTS = ("scene", "label", "sha256")  # columns that are texts, also where they look like numbers
 
