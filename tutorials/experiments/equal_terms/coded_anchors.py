@@ -16,7 +16,7 @@ import numpy as np
 from p4dgs_ref.codec.file import decode_attributes, sections_of
 from p4dgs_ref.codec.header import read_header, write_header
 from p4dgs_ref.codec.quantise import quantise_attributes
-from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Model, bounding_box, predict, with_backward
+from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Model, predict, with_backward
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training.parameters import Parameters
 
@@ -38,11 +38,10 @@ class OfAnchors:
 
     def __init__(self, model):
         anchors = model.anchors
-        self.model, self.box = model, bounding_box(anchors.x_a)
+        self.model = model
         with np.errstate(divide="ignore"):  # a scale in a file may be 0
             logs = {"log_s": np.log(anchors.s_a), "log_l": np.log(anchors.l_a)}
         arrays = {"x": anchors.x_a, "f_a": anchors.f_a, **logs, "O_a": anchors.O_a}
-        self.rows = [*arrays]
         for name, network in model.networks.items():
             if name not in CONTEXT_NETWORKS:
                 arrays |= of_network(name, *network)
@@ -72,16 +71,6 @@ class OfAnchors:
         looks = camera, self.model.background, settings, "occlusion" in self.model.design.effects
         return with_backward(render, *g[:5], *looks)
 
-    def values(self):
-        """What a file says besides the numbers."""
-        arrays = self.parameters.arrays
-        return {
-            "design": str(vars(self.model.design)),
-            "background": [float(c) for c in self.model.background],
-            "rows": {name: arrays[name].shape[1:] for name in self.rows},
-            "shapes": {name: a.shape for name, a in arrays.items() if name not in self.rows},
-        }
-
 
 def encode(model, H, loss):
     """The file of a model of the paper's design, from the sensitivity H of its `OfAnchors`."""
@@ -92,7 +81,9 @@ def encode(model, H, loss):
     order = positions.codes_of(places, model.box, bits).argsort(kind="stable")
     anchors = Anchors(*(array[order] for array in model.anchors._replace(x_a=x_a)))
     networks = {
-        name: tuple([weights.round_weights(*of_layer) for of_layer in zip(*parts)] for parts in both)
+        name: tuple(
+            [weights.round_weights(*of_layer) for of_layer in zip(*parts)] for parts in both
+        )
         for name, network in model.networks.items()
         for both in [zip(network, steps[name])]
     }
