@@ -11,12 +11,11 @@ import p4dgs_ref
 
 p4dgs_ref.prepare()  # before NumPy
 
-import numpy as np  # noqa: E402
 
 from p4dgs_ref.lab.writer import aligned  # noqa: E402
 from p4dgs_ref.report.figures import COLORS, save_figure, styled, subplots  # noqa: E402
 from p4dgs_ref.scenes import load_scene  # noqa: E402
-from .. import PICTURES  # noqa: E402
+
 from ..tables.methods import CODED, PAPERS, task_of  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
 

@@ -1,19 +1,20 @@
-"""The paper's Tables 1 and 2 on tiny scenes: all methods by one loop, one renderer, one measure.
+"""The paper's Tables 1 and 2 on a tiny scene: all methods by one loop, one renderer, one measure.
 
 Rendering is timed in one process, all methods in turn.
 """
 
 import numpy as np
 
-from p4dgs_ref.lab.clock import alternate, disturbance, stretch_of
-from p4dgs_ref.lab.writer import means, seeds_of, text_table
+from p4dgs_ref.lab.clock import alternate, disturbance
+from p4dgs_ref.lab.writer import means, text_table
 from p4dgs_ref.report.figures import draw_pictures, error_of
 
-from .methods import METHODS, PAPERS, task_of
-from .rows import model_of, rows
+from .methods import PAPERS, task_of
+from .rows import model_of
+from .writer import seeds_of
 
 TURNS = 5  # of the pictures that are timed
-ITERATIONS, QUICK = 3800, 100
+ITERATIONS = 3800
 # PSNR in dB, SSIM, MB and frames/s of the paper's Tables 1 and 2.
 PAPER = {
     "D-NeRF": {
@@ -37,69 +38,57 @@ COLUMNS = {
     "network": "{network_bytes:,.0f}",
     "Gaussians": "{gaussians_bytes:,.0f}",
     "times": "{times:.1f}",
-    "frames/s": "{render_fps:.0f}",
+    "frames/s": "{fps:.0f}",
     **{f"the paper's {name}": f"{{paper[{name}]}}" for name in PAPER},
 }
 
 
-def plan(scenes, seeds, iterations):
-    """The Tasks of all scenes, methods and seeds."""
-    names = [name for name in METHODS if name in PAPER["D-NeRF"]]
-    of_scenes = " ".join(scene.name for scene in scenes)
-    command = f"python -m tutorials.experiments.tables compare {of_scenes} --seeds {seeds}"
+def plan(scene, seeds, iterations):
+    """The Tasks of all methods and seeds."""
+    command = f"python -m tutorials.experiments.tables compare {scene.name}"
+    command += f" --seeds {seeds} --iterations {iterations}"
     return [
-        task_of(scene, name, seed, iterations, f"{command} --iterations {iterations}")
+        task_of(scene, name, seed, iterations, command)
         for seed in range(seeds)
-        for scene in scenes
-        for name in names
+        for name in PAPER["D-NeRF"]
     ]
 
 
-def show(scenes, tasks, folder, jobs):
-    """Make the missing rows, print the tables and draw a picture."""
-    found, speeds, pictures = rows(tasks, "compare", folder, jobs=jobs), [], []
-    for scene in scenes:
-        first = [task for task in tasks if (task.scene, task.seed) == (scene, 0)]
-        models = {task.label: model_of(task, folder) for task in first}
-        speeds += rendering(scene.test, models)
-        pictures += rows_of_pictures(scene, models)
-    speed = {row["label"]: row["render_fps"] for row in means(speeds, "label")}
+def show(scene, tasks, found, folder):
+    """Print the table and draw a picture; times and pictures are those of the first seed."""
+    models = {task.label: model_of(task, folder) for task in tasks if task.seed == 0}
+    times = rendering(scene.test, models)
+    draw(folder / "compare.png", scene, models)
     summary = {row["label"]: row for row in means(found, "label")}
-    for label, row in summary.items():
+    for name, row in summary.items():
         row["times"] = row["bytes"] / summary[PAPERS]["bytes"]
-        row["render_fps"] = speed[label]
-        row["paper"] = {name: cells.get(label, "-") for name, cells in PAPER.items()}
-    draw_pictures(folder / "compare.png", "one test view, not used in training", pictures)
-    print(f"{', '.join(scene.name for scene in scenes)}; {found[0]['iterations']:,} iterations; ")
-    print(f"{seeds_of(found)}. Files are as their authors store them: {PAPERS} entropy coded with")
-    print("float16 networks, the others float32. The paper's columns: PSNR, SSIM, MB, frames/s.")
+        row["fps"] = 1e3 * len(scene.test) / times[name].median
+        row["paper"] = {data: cells[name] for data, cells in PAPER.items()}
+    print(
+        f"{scene.name}; {tasks[0].iterations:,} iterations; {seeds_of(found)}. Bytes of the file,"
+    )
+    print("of which network (also planes and hash grid) and Gaussians, and times the first one's.")
+    print(f"Files are as their authors store them: {PAPERS} entropy coded with float16 networks,")
+    print("the others float32. The paper's columns: PSNR, SSIM, MB, frames/s.")
     print(*text_table(COLUMNS, summary.values()), sep="\n")
-    print(disturbance(stretch_of(speeds)))
+    print(disturbance(float(np.median([each.stretch for each in times.values()]))))
 
 
 def rendering(views, models):
-    """Rows {label, seed, render_fps, stretch} of models that render some views in turn."""
+    """The Times of models that render some views in turn."""
     functions = {
         name: lambda model=model: [model.render(view.camera, view.time) for view in views]
         for name, model in models.items()
     }
-    return [
-        {
-            "label": name,
-            "seed": 0,
-            "render_fps": 1e3 * len(views) / times.median,
-            "stretch": times.stretch,
-        }
-        for name, times in alternate(functions, TURNS).items()
-    ]
+    return alternate(functions, TURNS)
 
 
-def rows_of_pictures(scene, models):
-    """One test view of a scene, the truth and all methods, and below them their errors."""
+def draw(path, scene, models):
+    """One test view: the truth and all methods, and below them their errors."""
     view = sorted(scene.test, key=lambda view: view.time)[len(scene.test) // 2]
     drawn = [model.render(view.camera, view.time) for model in models.values()]
     images = [view.image, *np.clip(drawn, 0, 1)]
-    return [
-        (f"{scene.name}, t = {view.time:.2f}", [*zip(images, ("truth", *models))]),
-        ("absolute error", [error_of(image, view.image) for image in images]),
-    ]
+    pictures = [*zip(images, ("truth", *models))]
+    errors = [error_of(image, view.image) for image in images]
+    title = f"{scene.name}, a test view, t = {view.time:.2f}"
+    draw_pictures(path, title, [("", pictures), ("absolute error", errors)])

@@ -21,7 +21,7 @@ PAPERS, CODED = "p4dgs", "p4dgs_coded"  # the paper's design, and networks that 
 GAUSSIANS = ("positions", "features", "scales", "offset_scales", "offsets", "masks")  # sections
 # The fields of presets that are counted in iterations, besides `stage_ends`.
 DATES = (
-    *("iterations", "warm_up", "noise_until", "x_until", "sh_every", "decay_from", "mask_from"),
+    *("iterations", "warm_up", "sh_every", "decay_from", "mask_from"),
     *("collect_from", "grow_from", "grow_until", "reset_every"),
 )
 
@@ -88,12 +88,11 @@ def load_coded(path):
 
 def make_baseline(task, path, source=None):
     """Train a baseline, which grows to as many Gaussians as it has at first, and write its file."""
-    module, _ = baselines.module_of(task.method)
-    limit = {"most": task.changes["gaussians"]} if "gaussians" in task.changes else {}
-    preset = baselines.choose(task.method, changes={**limit, **task.changes})
-    trainer = module.Trainer(task.scene, lasting(preset, task.iterations), task.seed)
+    module, preset = baselines.METHODS[task.method]
+    changed = replace(preset, **task.changes)
+    changed = lasting(replace(changed, most=changed.gaussians), task.iterations)
     with np.errstate(all="ignore"):
-        return columns(**trainer.run().save(path))
+        return columns(**module.Trainer(task.scene, changed, task.seed).run().save(path))
 
 
 METHODS = {
