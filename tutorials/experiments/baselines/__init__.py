@@ -27,10 +27,14 @@ METHODS = {
 }
 
 
-def trainer_of(scene, method, seed=0, **changes):
-    """The Trainer of a method before its first step; `changes` are fields of its preset."""
-    module, preset = METHODS[method]
-    return module.Trainer(scene, replace(preset, **changes), seed)
+def module_of(method):
+    """The module of a method, and its preset."""
+    return METHODS[method]
+
+
+def choose(method, changes=None):
+    """The preset of a method with some fields changed."""
+    return replace(METHODS[method][1], **(changes or {}))
 
 
 def train(scene, method="d3dgs", seed=0, report=None, **changes):
@@ -38,8 +42,9 @@ def train(scene, method="d3dgs", seed=0, report=None, **changes):
 
     `report` is called after each step, for example a `training.progress.Progress`.
     """
+    module, _ = module_of(method)
     with np.errstate(all="ignore"):  # the Trainer looks for NaN and infinity itself
-        return trainer_of(scene, method, seed, **changes).run(report)
+        return module.Trainer(scene, choose(method, changes), seed).run(report)
 
 
 def load(path):
@@ -50,6 +55,6 @@ def load(path):
 
 def model_of(p, values):
     """The model of some Parameters and of what its file says besides."""
-    module, _ = METHODS[values["method"]]
+    module, _ = module_of(values["method"])
     preset, background = module.Preset(**values["form"]), np.array(values["background"])
     return module.Trainer.kind(p, preset, background, values["occlusion"])
