@@ -107,7 +107,8 @@ def decode(x, stack, tables):
 
 
 # %%
-from p4dgs_ref.codec import context, published
+from p4dgs_ref.codec import context
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
 from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.report import evaluate, inspect
@@ -405,7 +406,7 @@ def my_sigma_units(raw, log2_D, p):
 
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
-stream = (published.FOLDER / "full.p4dgs").read_bytes()
+stream = (STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(stream).model
 widths = full.design.widths
 layers = context.whole_layers(*full.networks["psi_p"])

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref import model
-from p4dgs_ref.designs import decode, encode, train
+from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Anchors
 from p4dgs_ref.oracle import published
@@ -24,6 +24,7 @@ from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, SETTINGS
 from p4dgs_ref.training import objective
+from p4dgs_ref.training.fit import train
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import LEARNING_RATES

@@ -22,7 +22,6 @@ from unittest.mock import patch
 import numpy as np
 
 from p4dgs_ref.equations import ssim
-from p4dgs_ref.lab.baselines.rotation_4d import product
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.compare import IMAGES, PRINTED, RECIPES, cast, deviations, expected
 from tests.golden import tape
@@ -154,48 +153,6 @@ def render_loss(image, truth, lambda_ssim):
     return {"L_render": loss, "L1": L1, "D_SSIM": D_SSIM}
 
 
-def rotation_4d(raw_l, raw_r):
-    N = len(raw_l.array)
-    left, right = (
-        (unit(q) @ product(np.eye(4), side).reshape(4, 16)).reshape(N, 4, 4)
-        for q, side in ((raw_l, 1), (raw_r, -1))
-    )
-    return {"R": left @ right}
-
-
-def conditional(x, mu_t, s, R, t):
-    """The Schur complement A - b b^T / var_t."""
-    N = len(x.array)
-    M = R * s.reshape(N, 1, 4)
-    Sigma = M @ M.transposed()
-    space, time = np.eye(4)[:3], np.eye(4)[3:]
-    block = Sigma.of(space) @ Sigma @ space.T
-    b = Sigma.of(space) @ Sigma @ time.T
-    var_t = Sigma.of(time) @ Sigma @ time.T + 1e-24
-    moved = (b / var_t).reshape(N, 3) * (t - mu_t).reshape(N, 1)
-    return {
-        "x_t": x + moved,
-        "Sigma_t": block - b @ b.transposed() / var_t,
-        "var_t": var_t.reshape(N),
-    }
-
-
-def marginal(alpha, mu_t, var_t, t):
-    since = t - mu_t
-    weight = (-1 * (since * since) / (2 * var_t)).exp()
-    return {"alpha_t": alpha * weight, "weight": weight}
-
-
-def weight_bits(w, step, b):
-    """B1 with expm1, as its file says it, differentiated."""
-    a = (w / step).absolute()
-    around = a.array < 0.5
-    low, high = (-1 * (a - 0.5).absolute() / b).expm1(), (-1 * (a + 0.5) / b).expm1()
-    log_outside = (0.5 - a) / b + (-0.5 * (b.of(-1) / b).expm1()).log()
-    log_p = (-0.5 * (low + high)).log().where(around) + log_outside.where(~around)
-    return {"bits": log_p / -np.log(2)}
-
-
 FORMULAS = {
     "tanh": lambda y: {"alpha": y.tanh()},
     "sigmoid": lambda y: {"color": y.sigmoid().reshape(y.array.shape[0], 1, -1)},
@@ -210,15 +167,6 @@ FORMULAS = {
     "step": lambda h, weights, biases, Q_0: of_network(network(h, weights, biases), Q_0),
     "ssim": lambda image, truth: {"ssim": similarity(image, truth)},
     "render_loss": render_loss,
-    "activations": lambda log_s, raw_r, logit_alpha: {
-        "s": log_s.exp(),
-        "r": unit(raw_r),
-        "alpha": logit_alpha.sigmoid(),
-    },
-    "rotation_4d": rotation_4d,
-    "conditional": conditional,
-    "marginal": marginal,
-    "weight_bits": weight_bits,
 }
 
 

@@ -8,7 +8,6 @@ from p4dgs_ref.oracle import published
 from tests.golden import kill_matrix
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix
-from tests.golden.mistakes import MISTAKES
 from tests.golden.mutate import applied, mutations
 from tests.sampling import SEED
 
@@ -24,18 +23,6 @@ def test_mutations_are_killed_or_equivalent():
     assert counts["killed"] + len(counts["survivors"]) == counts["total"]
     reasons = {survivor["id"]: survivor["reason"] for survivor in counts["survivors"]}
     assert reasons == EQUIVALENT and all(EQUIVALENT.values())
-
-
-def test_the_pages_say_what_the_file_says():
-    top = kill_matrix.MATRIX.parents[2]
-    reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
-    reference = " ".join(reference.split())
-    counts = committed()
-    assert f"the answers to which {len(MISTAKES)} common mistakes lead" in reference
-    assert f"with some {round(counts['total'], -1):,} one-token mutations" in reference
-    assert f"mutations, {100 * counts['killed'] / counts['total']:.1f} % are detected" in reference
-    readme = (top / "README.md").read_text(encoding="utf-8")
-    assert f"explains {len(MISTAKES)} common mistakes" in " ".join(readme.split())
 
 
 # --- whether it is true -------------------------------------------------------------------------

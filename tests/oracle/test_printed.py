@@ -39,7 +39,6 @@ CONCERNED = [(key, dtype) for key in scales.RECIPES for dtype in PRECISIONS]
 MISSED = {
     *("tanh/tails", "sigmoid/tails", "step/H-R4.u-10", "step/H-R4.u-100", "opacity/H-S1.tanh"),
     *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "view/far", "view/near", "ssim/flat"),
-    *("activations/saturated", "conditional/lasting", "rotation_4d/identity"),
 }
 
 

@@ -5,7 +5,8 @@
 import numpy as np
 
 from p4dgs_ref import lessons
-from p4dgs_ref.codec import context, published
+from p4dgs_ref.codec import context
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.designs import quantised_of
 from p4dgs_ref.equations import prior
 from p4dgs_ref.oracle import streams
@@ -42,7 +43,7 @@ full_row = rows["full"]
 stored = {}
 for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
-stream = (published.FOLDER / "full.p4dgs").read_bytes()
+stream = (STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(stream).model
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)

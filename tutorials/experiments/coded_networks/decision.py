@@ -79,7 +79,8 @@ def draw(found, path):
 
 def main(words):
     """Make what is missing, print and draw."""
-    parser = Parser("report/coded_networks", prog=COMMAND, description=__doc__.split("\n")[0])
+    parser = Parser(prog="decision", description=__doc__.partition("\n")[0])
+    parser.of_rows("report/coded_networks")
     options = parser.parse_args(words)
     found = rows(plan(), "beyond_networks", options.folder, options.part, options.jobs)
     if options.part == (1, 1):

@@ -17,12 +17,13 @@ QUICK = {"seeds": 1, "iterations": 100}
 
 def main(words):
     """Make the missing rows of a table and print it; of a part, only make them."""
-    parser = Parser("report/tables", prog="tables", description="The paper's tables, tiny.")
+    parser = Parser(prog="tables", description="The paper's tables 1 to 3 on a tiny scene.")
     parser.add_argument("table", choices=TABLES)
     parser.add_argument("scene")
     parser.add_argument("--seeds", type=count, default=3)
     parser.add_argument("--iterations", type=count)
     parser.add_argument("--quick", action="store_true", help="one seed, 100 iterations: a look")
+    parser.of_rows("report/tables")
     options = parser.parse_args(words)
     table, scene = TABLES[options.table], load_scene(options.scene)
     seeds, iterations = options.seeds, options.iterations or table.ITERATIONS

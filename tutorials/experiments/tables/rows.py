@@ -93,7 +93,7 @@ def rows(tasks, name, folder, part=(1, 1), jobs=1):
     """
     for task in tasks:
         if not task.scene.test:
-            raise SceneError(f"scene {task.scene.name}: split 'test': no views to measure on")
+            raise SceneError(f"scene {task.scene.name}", "split 'test': no views to measure on")
     i, n = part
     trainings = list(dict.fromkeys(task.training for task in tasks))[i - 1 :: n]
     own = [task for task in tasks if task.training in trainings]
@@ -171,19 +171,19 @@ def model_of(task, folder):
 
 # --- the command line of an experiment ------------------------------------------------------------
 class Parser(argparse.ArgumentParser):
-    """argparse with the options of all records, and with its errors in one line."""
-
-    def __init__(self, folder, **settings):
-        super().__init__(**settings)
-        self.add_argument("-o", dest="folder", type=Path, default=Path(folder))
-        self.add_argument("--jobs", type=count, default=1, help="processes, 1 GB each")
-        self.add_argument(
-            "--part", type=share, default=(1, 1), metavar="I/N", help="of a job array"
-        )
+    """argparse with its errors in one line."""
 
     def error(self, message):
         """End with one line."""
         self.exit(2, f"{self.prog}: {message}\n")
+
+    def of_rows(self, folder):
+        """Add the options of what makes rows in a folder."""
+        self.add_argument("-o", dest="folder", type=Path, default=Path(folder), metavar="FOLDER")
+        self.add_argument("--jobs", type=count, default=1, help="processes")
+        self.add_argument(
+            "--part", type=share, default=(1, 1), metavar="I/N", help="of a job array"
+        )
 
 
 def count(text):
