@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, ROWS
-
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
 MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
@@ -24,13 +23,14 @@ class Statistics:
     @classmethod
     def empty(cls, A, k):
         """The statistics of A anchors with k children before the first view."""
-        return cls(np.zeros(A), np.zeros((A, k)), np.zeros((A, k)), np.zeros((A, k)))
+        return cls(np.zeros(A), *np.zeros((3, A, k)))
 
-    def collect(self, rendered, mean2d_bar, width, height):
+    def collect(self, rendered, mean2d_bar, camera):
         """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
         self.visits += 1
         self.opacity += np.maximum(rendered.alpha, 0)
-        length = np.hypot(mean2d_bar[:, 0] * width / 2, mean2d_bar[:, 1] * height / 2)
+        x_bar, y_bar = mean2d_bar.T
+        length = np.hypot(x_bar * camera.width / 2, y_bar * camera.height / 2)
         rows = rendered.index[rendered.visible]
         self.gradient.reshape(-1)[rows] += length[rendered.visible]
         self.seen.reshape(-1)[rows] += 1
@@ -41,13 +41,8 @@ class Statistics:
         This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
         """
         children, anchors = often_seen(self, preset), often_visited(self, preset)
-        for sums, judged in (
-            (self.gradient, children),
-            (self.seen, children),
-            (self.opacity, anchors),
-            (self.visits, anchors),
-        ):
-            sums[judged] = 0
+        self.gradient[children] = self.seen[children] = 0
+        self.opacity[anchors] = self.visits[anchors] = 0
 
     def with_rows(self, keep, count):
         """The statistics of the anchors that are kept, and of `count` new ones after them."""
@@ -75,33 +70,27 @@ def grow(p, statistics, preset, rng):
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
-    eligible = often_seen(statistics, preset).ravel()
     parents = np.repeat(p["f_a"], p["O_a"].shape[1], axis=0)
-    taken, features, sizes = [p["x_a"][:0]], [p["f_a"][:0]], [np.zeros(0)]
+    x_a, f_a, log_size = p["x_a"][:0], p["f_a"][:0], np.zeros((0, 3))
     for level in range(preset.grow_depth):
         threshold = preset.gradient_threshold * (preset.grow_hierarchy // 2) ** level
-        wanted = eligible & (gradient >= threshold) & (rng.random(len(x)) > 0.5 ** (level + 1))
-        if level and len(taken) == 1 or not wanted.any():
+        wanted = often_seen(statistics, preset).ravel() & (gradient >= threshold)
+        wanted &= rng.random(len(x)) > 0.5 ** (level + 1)
+        if level and not len(x_a):
             continue
         size = preset.voxel * max(preset.grow_init // preset.grow_hierarchy**level, 1)
-        cells, cell = np.unique(np.round(x[wanted] / size), axis=0, return_inverse=True)
-        largest = np.full((len(cells), p["f_a"].shape[1]), -np.inf, p["f_a"].dtype)
-        np.maximum.at(largest, cell.ravel(), parents[wanted])
-        occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], *taken]) / size).tolist())}
-        free = np.array([tuple(row) not in occupied for row in cells.tolist()])
-        if free.any():
-            taken.append((cells[free] * size).astype(p["x_a"].dtype))
-            features.append(largest[free])
-            sizes.append(np.full(free.sum(), np.log(size)))
-    x_a = np.concatenate(taken)
-    start = {
-        "feature": np.concatenate(features),
-        "spacing": np.concatenate(sizes)[:, None],
-        "zero": 0.0,
-    }
-    shapes = {row: (len(x_a), *p[row.parameter].shape[1:]) for row in ATTRIBUTES}
-    attributes = {row.parameter: np.broadcast_to(start[row.start], shapes[row]) for row in shapes}
-    return {"x_a": x_a, **attributes}
+        occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], x_a]) / size).tolist())}
+        largest = {}  # {free voxel: feature}
+        for voxel, feature in zip(map(tuple, np.round(x[wanted] / size).tolist()), parents[wanted]):
+            if voxel not in occupied:
+                largest[voxel] = np.maximum(largest.get(voxel, feature), feature)
+        if largest:
+            voxels = sorted(largest)
+            x_a = np.concatenate([x_a, np.array(voxels, x.dtype) * size])
+            f_a = np.concatenate([f_a, [largest[voxel] for voxel in voxels]])
+            log_size = np.concatenate([log_size, np.full((len(voxels), 3), np.log(size))])
+    O_a = np.zeros((len(x_a), *p["O_a"].shape[1:]))
+    return {"x_a": x_a, "f_a": f_a, "log_s": log_size, "log_l": log_size, "O_a": O_a}
 
 
 def often_seen(statistics, preset):
@@ -143,5 +132,4 @@ def reseed(p, first, second, dead, statistics, rng):
     copied["O_a"] = 0
     for name, rows in copied.items():
         p[name][dead] = rows
-        first[name][dead] = 0
-        second[name][dead] = 0
+        first[name][dead] = second[name][dead] = 0

@@ -6,12 +6,12 @@ again to name the equation, array and index that was the first to be NaN or infi
 
 import sys
 from contextlib import contextmanager
-from importlib import import_module
 
 import numpy as np
 
 from ..splatting import fast
 from ..table import EQUATIONS
+from . import objective
 
 
 def equation_codes():
@@ -19,11 +19,9 @@ def equation_codes():
 
     The fast renderer has the key "compositing, fast".
     """
-    modules = {key: import_module(eq.module) for key, eq in EQUATIONS.items()}
-    modules["compositing, fast"] = fast
     return {
         getattr(module, name).__code__: (key, name)
-        for key, module in modules.items()
+        for key, module in {**EQUATIONS, "compositing, fast": fast}.items()
         for name in ("forward", "backward")
     }
 
@@ -63,17 +61,13 @@ def first_bad(arrays, where=""):
         for i, array in enumerate(value if listed else [value]):
             wrong = np.argwhere(~np.isfinite(array))
             if len(wrong):
-                index = tuple(int(i) for i in wrong[0])
-                place = f"{name}[{i}]" if listed else name
-                return f"{where}{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+                index, place = wrong[0].tolist(), f"{name}[{i}]" if listed else name
+                return f"{where}{place}{index or ''} is {np.asarray(array)[tuple(index)]}"
     return None
 
 
-def find_first(loss, inputs):
-    """A phrase that names where an iteration, `loss(*inputs)`, first stops being finite.
-
-    The first of the inputs are the Parameters.
-    """
+def find_first(inputs):
+    """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
@@ -85,13 +79,13 @@ def find_first(loss, inputs):
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
         if name == "forward":
-            equation = EQUATIONS[key.split(",")[0]]
-            phrases.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
+            value = EQUATIONS[key.split(",")[0]].named(value[0])
         else:
-            phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
+            name = "backward, gradient of"
+        phrases.append(first_bad(value, f"{where}, {name}: "))
 
     with np.errstate(all="ignore"), watching(equation_codes(), see):
-        losses, _, back = loss(*inputs)
+        losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [
         first_bad(losses._asdict(), "objective: "),

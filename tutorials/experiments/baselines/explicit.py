@@ -4,8 +4,8 @@ A file is one PLY with Gaussians as its vertices, in float32 as the authors stor
 of networks and planes follow the vertices, where a viewer does not look; D3DGS's authors keep them
 in a file of its own. The header says in JSON what a reader must know besides: about 2 KB.
 
-Density control is that of 3DGS (Kerbl et al. 2023, section 5.2): cloning, splitting, pruning, and
-resets of the opacity.
+Density control is that of 3DGS (Kerbl et al. 2023, section 5.2): cloning, splitting and pruning.
+Its resets of the opacity come every 3,000 iterations, later than Gaussians are added here.
 """
 
 import json
@@ -37,8 +37,6 @@ AFTER_TRAINING = 10**9  # an iteration in which every schedule of a preset has e
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
 MOVING_ARRAYS = ("psi", "psi_d", "psi_t", "planes")  # they take part once the Gaussians move
 SHRINK = 1.6  # children of a split are smaller by this factor
-MAX_SCALE = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
-RESET_ALPHA = 0.01
 # The fields of a preset that a file tells its reader.
 FORM = ("sh_degree", "L_x", "L_t", "waves")
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
@@ -81,7 +79,6 @@ class Preset:
     gradient_threshold: float = 5e-4  # of the projected centre, in NDC units per view
     percent_dense: float = 0.02  # of the extent: smaller Gaussians are cloned, larger ones split
     min_opacity: float = 0.005
-    reset_every: int = 3000
 
     def stage(self, iteration):
         """1 before the Gaussians move, then 2; 1 for a method in which they always do."""
@@ -259,7 +256,7 @@ class Trainer(trainer.Trainer):
     def begin(self, points):
         """Draw the first parameters."""
         self.start(Parameters(self.kind.initial(self.preset, self.rng, points)))
-        self.extent = extent_of(self.scene.train, self.parameters["x"])
+        self.extent = extent_of(self.scene.train)
         self.statistics = Statistics.empty(self.primitives, 1)
 
     def adopt(self, parameters):
@@ -330,42 +327,32 @@ class Trainer(trainer.Trainer):
         children["log_s"] -= np.log(SHRINK)
 
     def adjust(self):
-        """Clone, split and prune; reset the opacities every `reset_every` iterations."""
+        """Clone, split and prune."""
         preset, now, p = self.preset, self.iteration, self.parameters
         if not preset.grow_from < now < preset.grow_until:
             return
         gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
         rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
-        prune_large = now > preset.reset_every
-        keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter, prune_large)
+        keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter)
         if keep.any() or len(added["x"]):
             self.change_rows(rows, keep, added)
-        if now % preset.reset_every == 0:
-            reset_opacity(self.parameters, self.adam.first, self.adam.second)
         self.statistics = Statistics.empty(self.primitives, 1)
 
 
 # --- density control ------------------------------------------------------------------------------
-def extent_of(views, x):
-    """The size of a scene as 3DGS measures it: how far its cameras are from their mean, and 10 %.
-
-    Cameras that stand still in one place have none; then the first points give it. The authors'
-    code would split every Gaussian and prune it as too large.
-    """
+def extent_of(views):
+    """The size of a scene by 3DGS: how far its cameras are from their mean, and 10 % more."""
     centers = np.array([view.camera.center for view in views])
-    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()
-    if spread < 1e-6:
-        spread = np.linalg.norm(x - x.mean(axis=0), axis=1).max()
-    return 1.1 * float(spread)
+    return 1.1 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
 
 
-def densify(p, rows, gradient, extent, preset, scatter, prune_large):
+def densify(p, rows, gradient, extent, preset, scatter):
     """The Gaussians [N] to keep, and new ones as {array name: rows}.
 
     Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
     place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
-    ones those are left out that are nearly transparent or, with `prune_large`, very large. No more
-    are added than `most` leaves room for, those with the largest gradients.
+    ones those are left out that are nearly transparent. No more are added than `most` leaves room
+    for, those with the largest gradients.
     """
     room = max(preset.most - len(gradient), 0)
     wanted = np.zeros(len(gradient), bool)
@@ -376,23 +363,6 @@ def densify(p, rows, gradient, extent, preset, scatter, prune_large):
     children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
     scatter(children)
     added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
-    limit = MAX_SCALE * extent if prune_large else np.inf
-    keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
+    keep, lasting = (sigmoid(a["logit_alpha"]) >= preset.min_opacity for a in (p, added))
     keep[parents] = False
     return keep, {name: a[lasting] for name, a in added.items()}
-
-
-def lasts(p, preset, limit):
-    """Which Gaussians are neither nearly transparent nor larger than the limit."""
-    visible = sigmoid(p["logit_alpha"]) >= preset.min_opacity
-    return visible & (np.exp(p["log_s"]).max(axis=1) <= limit)
-
-
-def reset_opacity(p, first, second):
-    """Lower all opacities, in place, to RESET_ALPHA at most, with zero Adam moments.
-
-    What the pictures need becomes opaque again; the rest is pruned.
-    """
-    limit = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
-    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], limit)
-    first["logit_alpha"][...] = second["logit_alpha"][...] = 0

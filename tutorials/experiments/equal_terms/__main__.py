@@ -1,7 +1,7 @@
 """Every method on equal terms.
 
-    python -m tutorials.experiments.equal_terms curve            makes what the record lacks
-    python -m tutorials.experiments.equal_terms curve --show     prints and draws the record
+python -m tutorials.experiments.equal_terms curve            makes what the record lacks
+python -m tutorials.experiments.equal_terms curve --show     prints and draws the record
 """
 
 import sys

@@ -31,9 +31,7 @@ COLUMNS = {
 def row(what, gaussians, numbers, total):
     """A row of the table; `total` are the bytes of all Gaussians or anchors."""
     each = total / gaussians
-    return dict(
-        what=what, gaussians=gaussians, numbers=numbers, bits=8 * each / numbers, each=each
-    )
+    return dict(what=what, gaussians=gaussians, numbers=numbers, bits=8 * each / numbers, each=each)
 
 
 def table(rows):
@@ -57,7 +55,9 @@ def mean(rows, label, numbers):
     own = chosen(rows, label=label)
     children = CHILDREN_HERE * np.mean([one["anchors"] for one in own])
     gaussians = children if label == PAPERS else np.mean([one["gaussians"] for one in own])
-    return row(f"here, {label}", gaussians, numbers, np.mean([one["gaussians_bytes"] for one in own]))
+    return row(
+        f"here, {label}", gaussians, numbers, np.mean([one["gaussians_bytes"] for one in own])
+    )
 
 
 def tell(rows):

@@ -34,14 +34,16 @@ def bands(rows):
     found = []
     for scene in SCENES:
         own = chosen(rows, scene=scene)
-        curves = [curve_of(chosen(own, method=m, storage=s)) for m, s in STEPS.values()]
-        ends = np.array([front(curve)[[0, -1], 1] for curve in curves if curve])
-        low, high = ends[:, 0].max(), ends[:, 1].min()
-        if len(ends) < len(curves) or low > high:
-            continue
+        curves = {
+            step: curve_of(chosen(own, method=method, storage=storage))
+            for step, (method, storage) in STEPS.items()
+        }
+        curves = {step: front(curve) for step, curve in curves.items() if curve}
+        low = max((edge[0, 1] for edge in curves.values()), default=1)
+        high = min((edge[-1, 1] for edge in curves.values()), default=0)
         before = None
-        for step, curve in zip(STEPS, curves):
-            sizes = np.array([bytes_at(curve, psnr) for psnr in np.linspace(low, high, LEVELS)])
+        for step, edge in curves.items() if low <= high else ():
+            sizes = np.array([bytes_at(edge, psnr) for psnr in np.linspace(low, high, LEVELS)])
             row = {"scene": scene, "step": step, "low": low, "high": high}
             row |= {"least": sizes.min(), "most": sizes.max()}
             if before is not None:
