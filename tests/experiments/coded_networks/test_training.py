@@ -66,7 +66,7 @@ def test_rounded_networks_carry_their_gradient_to_numbers_and_steps():
     steps = networks.steps_of(p["log_step"])
     for i, W in enumerate(rounded["psi_c"][0]):
         np.testing.assert_array_equal(W, np.rint(p[f"psi_c.W{i}"] / steps[2 * i]) * steps[2 * i])
-    gradients = Parameters(p.arrays, vector=np.zeros_like(p.vector))
+    gradients = p.zeros()
     bar = rng.normal(size=(3, 5))
     gradients["psi_c.W0"][...] = bar
     back(gradients, 0.0)

@@ -91,6 +91,5 @@ class Trainer(trainer.Trainer):
 def fit(scene, preset: Preset = TINY, seed=0, position_bits=10, stream=None):
     """Fit a scene and return the Trainer, which has the model and the history."""
     fitting = Trainer(scene, preset, seed, position_bits)
-    with np.errstate(all="ignore"):
-        fitting.run(Progress(stream))
+    fitting.run(Progress(stream))
     return fitting

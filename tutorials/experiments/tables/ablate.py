@@ -142,8 +142,7 @@ def change(each):
 # Scaffold-GS; the networks and the grid of the entropy coder are not.
 def make_plain(task, path, source=None):
     """Train and write such a file; returns its bytes by kind."""
-    with np.errstate(all="ignore"):
-        model = Trainer(task.scene, preset_of(task), task.seed).run()
+    model = Trainer(task.scene, preset_of(task), task.seed).run()
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
     network = {
         f"{name}.{kind}{i}": a

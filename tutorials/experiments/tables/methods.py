@@ -6,8 +6,6 @@ dates of a preset are shortened or stretched with its iterations.
 
 from dataclasses import replace
 
-import numpy as np
-
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.training.presets import choose
@@ -58,8 +56,7 @@ def save(trainer, path, encode=encode, read_container=read_container):
 
     The hash grid counts among the networks, like the planes of 4DHexPlane.
     """
-    with np.errstate(all="ignore"):  # the trainer looks for non-finite values itself
-        data = encode(trainer.run())
+    data = encode(trainer.run())
     path.write_bytes(data)
     sizes = {name: len(body) for name, body in read_container(data).items()}
     gaussians = sum(sizes[name] for name in GAUSSIANS)
@@ -91,8 +88,7 @@ def make_baseline(task, path, source=None):
     module, preset = baselines.METHODS[task.method]
     changed = replace(preset, **task.changes)
     changed = lasting(replace(changed, most=changed.gaussians), task.iterations)
-    with np.errstate(all="ignore"):
-        return columns(**module.Trainer(task.scene, changed, task.seed).run().save(path))
+    return columns(**module.Trainer(task.scene, changed, task.seed).run().save(path))
 
 
 METHODS = {
