@@ -13,7 +13,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import grouped, read_csv, text_table
+from p4dgs_ref.lab.writer import filled, grouped, read_csv
 from p4dgs_ref.scenes import load_scene
 
 from .. import RECORDS, baselines
@@ -222,4 +222,11 @@ def tell(rows):
         print(
             f"\nbytes of D3DGS divided by those of {papers} at equal PSNR, {ITERATIONS} iterations"
         )
-        print(*text_table(COLUMNS, found), sep="\n")
+        print(markdown(COLUMNS, found))
+
+
+def markdown(columns, rows):
+    """A table as the page has it: `columns` are {heading: form}."""
+    lines = [columns, ["---"] * len(columns)]
+    lines += [[filled(form, row) for form in columns.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
