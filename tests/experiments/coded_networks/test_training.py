@@ -74,6 +74,16 @@ def test_rounded_networks_carry_their_gradient_to_numbers_and_steps():
     error = rounded["psi_c"][0][0] - p["psi_c.W0"]
     expected = [(bar * error).sum(), 0, 0, 0, 0, 0]
     np.testing.assert_allclose(gradients["log_step"], expected, atol=1e-12)
+    gradients.vector[:] = 0
+    back(gradients, 2.0)  # the bits alone: they grow with a number, and fall with its step
+    step, k = steps[0], rounded["psi_c"][0][0].ravel() / steps[0]
+    whole = networks.scales(layout.rounded.vector / steps[layout.tensor], layout)
+    _, saved = weight_bits.forward(k * step, np.full(15, step), whole[:15])
+    bars = weight_bits.backward(saved, np.full(15, 2.0))
+    np.testing.assert_allclose(gradients["psi_c.W0"].ravel(), bars["w"])
+    error = (rounded["psi_c"][0][0] - p["psi_c.W0"]).ravel()
+    of_step = (bars["w"] * error + bars["step"] * step).sum()
+    np.testing.assert_allclose(gradients["log_step"][0], of_step)
 
 
 def test_scales_are_row_times_column_over_tensor():

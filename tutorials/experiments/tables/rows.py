@@ -9,10 +9,10 @@
     rows([task], "curve", Path("report/curve"), part=(1, 4), jobs=2)
 
 What a record in `records/` or a file `curve.*csv` of the folder has already is not made again. All
-rows of the tasks are written to `curve.csv` in the folder, after each training, and a part I of N
-to `curve.IofN.csv`, which a later call without parts collects. To extend a record, copy this file
-over it. A row is known by its KEY; it has the first digits of its file's sha256, its command and
-the arithmetic with which it was made.
+rows of the tasks are written to `curve.csv` in the folder, behind those of other tasks, after each
+training; those of part I of N to `curve.IofN.csv`, which a later call without parts collects. To
+extend a record, copy this file over it. A row is known by its KEY; it has the first digits of its
+file's sha256, its command and the arithmetic with which it was made.
 
 One training may give several files: the `source` of such a task is the task of its training, and
 `make` gets the model in its file, otherwise None. All tasks of a training are in the same part and
@@ -97,29 +97,35 @@ def rows(tasks, name, folder, part=(1, 1), jobs=1):
     i, n = part
     trainings = list(dict.fromkeys(task.training for task in tasks))[i - 1 :: n]
     own = [task for task in tasks if task.training in trainings]
-    known = {
-        tuple(row.get(column) for column in KEY): row
-        for place in (RECORDS, folder)
-        for path in sorted(place.glob(f"{name}.*csv"))
-        for row in read_csv(path, TEXTS)
-    }
+    path = folder / (f"{name}.csv" if n == 1 else f"{name}.{i}of{n}.csv")
+    known = {}
+    for place in (RECORDS, folder):
+        for file in sorted(place.glob(f"{name}.*csv")):
+            known |= keyed(read_csv(file, TEXTS))
     groups = {}
     for task in own:
         if task.key not in known:
             groups.setdefault(task.training, []).append((task, folder))
-    path = folder / (f"{name}.csv" if n == 1 else f"{name}.{i}of{n}.csv")
+    keys = [task.key for task in own]
+    others = keyed(read_csv(path, TEXTS)) if path.exists() else {}
+    others = [row for key, row in others.items() if key not in keys]
 
     def keep():
         with output.replaced(path) as place:
-            write_csv(place, [known[task.key] for task in own if task.key in known])
+            write_csv(place, others + [known[key] for key in keys if key in known])
 
     with output.made(folder):
         keep()
         for done, found in enumerate(in_processes(make_rows, [*groups.values()], jobs), 1):
-            known |= {tuple(row[column] for column in KEY): row for row in found}
+            known |= keyed(found)
             keep()
             print(f"{done} of {len(groups)} trainings: {found[-1]['label']}", file=sys.stderr)
-    return [known[task.key] for task in own]
+    return [known[key] for key in keys]
+
+
+def keyed(found):
+    """Rows by the entries of KEY."""
+    return {tuple(row[column] for column in KEY): row for row in found}
 
 
 def make_rows(pairs):
