@@ -31,7 +31,8 @@ def estimate(tasks, name):
 
 def main(words):
     """Make what is missing; with --show, print and draw the record as it is."""
-    parser = Parser("report/equal_terms", prog="python -m tutorials.experiments.equal_terms")
+    parser = Parser(prog="equal_terms", description="Every method on equal terms.")
+    parser.of_rows("report/equal_terms")
     parser.add_argument("study", choices=("curve", "growing_detail"))
     parser.add_argument("--estimate", action="store_true", help="say how long it takes, and stop")
     parser.add_argument("--show", action="store_true", help="print and draw the record as it is")

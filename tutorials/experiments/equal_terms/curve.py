@@ -13,7 +13,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import grouped, read_csv, text_table
+from p4dgs_ref.lab.writer import filled, grouped, read_csv
 from p4dgs_ref.scenes import load_scene
 
 from .. import RECORDS, baselines
@@ -195,7 +195,8 @@ def curve_of(rows):
 def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
-    Both have networks of one size. A difference whose seeds lie on both sides of 1 is none.
+    Both have networks of one size. A difference whose seeds lie on both sides of 1 is none;
+    that of fewer than three seeds is open.
     """
     found = []
     for scene in scenes:
@@ -210,6 +211,7 @@ def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
         if of_all and None not in each:
             first, last = min(each), max(each)
             verdict = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
+            verdict = verdict if len(seeds) > 2 else "open: too few seeds"
             names = dict(scene=scene, storage=storage, papers=papers, seeds=len(seeds))
             found.append({**names, **of_all, "first": first, "last": last, "verdict": verdict})
     return found
@@ -222,4 +224,11 @@ def tell(rows):
         print(
             f"\nbytes of D3DGS divided by those of {papers} at equal PSNR, {ITERATIONS} iterations"
         )
-        print(*text_table(COLUMNS, found), sep="\n")
+        print(markdown(COLUMNS, found))
+
+
+def markdown(columns, rows):
+    """A table as the page has it: `columns` are {heading: form}."""
+    lines = [columns, ["---"] * len(columns)]
+    lines += [[filled(form, row) for form in columns.values()] for row in rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

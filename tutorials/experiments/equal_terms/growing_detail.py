@@ -13,12 +13,11 @@ import os
 import shutil
 from pathlib import Path
 
-from p4dgs_ref.lab.writer import text_table
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.simulator import simulate
 
 from ..tables.methods import PAPERS, task_of
-from .curve import ALIKE, COLUMNS, ITERATIONS, NARROW, compare, files_of
+from .curve import ALIKE, COLUMNS, ITERATIONS, NARROW, compare, files_of, markdown
 
 COMMAND = "python -m tutorials.experiments.equal_terms growing_detail"
 SCENES = Path("report/equal_terms/scenes")
@@ -124,4 +123,4 @@ def plan():
 def tell(rows):
     """Print how many times the bytes of the paper's design the explicit files need."""
     found = compare(rows, ALIKE, scenes=[f"detail_{size}" for size in SIZES])
-    print(*text_table(COLUMNS, found), sep="\n")
+    print(markdown(COLUMNS, found))

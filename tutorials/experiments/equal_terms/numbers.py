@@ -7,10 +7,8 @@ numbers a Gaussian), and if an anchor has 16 features, 10 children and 16 bits a
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import text_table
-
 from ..tables.methods import PAPERS
-from .curve import chosen
+from .curve import chosen, markdown
 
 MB = 1e6
 D3DGS, PREDICTED = 56.7 * MB, 7.27 * MB  # Table 3
@@ -34,16 +32,21 @@ def row(what, gaussians, numbers, total):
     return dict(what=what, gaussians=gaussians, numbers=numbers, bits=8 * each / numbers, each=each)
 
 
-def table(rows):
-    """The rows of the table: three that are inferred, and means over the scenes and seeds here."""
+def inferred():
+    """The rows of T-Rex."""
     explicit = (D3DGS - NETWORK) / (4 * EXPLICIT)
     predicted = (PREDICTED - NETWORK) / (4 * ANCHOR) * CHILDREN
     coded = POSITIONS / 6 * CHILDREN
-    found = [
+    return [
         row("T-Rex, D3DGS", explicit, EXPLICIT, D3DGS - NETWORK),
         row("T-Rex, anchors", predicted, ANCHOR / CHILDREN, PREDICTED - NETWORK),
         row("T-Rex, anchors coded", coded, ANCHOR / CHILDREN, POSITIONS + ATTRIBUTES),
     ]
+
+
+def measured(rows):
+    """The rows of the tiny scenes, means over them and their seeds."""
+    found = []
     for degree, numbers in ((3, 59), (0, 14)):
         label = f"d3dgs_small gaussians=800 sh_degree={degree}"
         found += [mean(rows, label, numbers + 3), mean(rows, f"{label} loss=0.0005", numbers)]
@@ -63,4 +66,4 @@ def mean(rows, label, numbers):
 def tell(rows):
     """Print the table."""
     print("\nstored numbers of a Gaussian without networks")
-    print(*text_table(COLUMNS, table(rows)), sep="\n")
+    print(markdown(COLUMNS, inferred() + measured(rows)))

@@ -45,7 +45,8 @@ def draw(rows, path):
     for (method, storage), (name, color) in CURVES.items():
         points = front(curve_of(chosen(rows, method=method, storage=storage)))
         full = "none" if storage == ALIKE else "full"
-        top.semilogx(*points.T, "o-", color=color, markersize=6, fillstyle=full, label=name)
+        look = dict(color=color, markersize=6, fillstyle=full, label=name if len(points) else "")
+        top.semilogx(*points.T, "o-", **look)
     top.set(ylabel="PSNR of test views here (dB)", ylim=(31, 37.5))
     top.legend(loc="lower right", frameon=False, fontsize=10)
     for i, step in enumerate(STEPS):

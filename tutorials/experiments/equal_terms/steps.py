@@ -7,11 +7,9 @@ and not a point.
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import text_table
-
 from ..tables.methods import PAPERS
 from ..tables.writer import bytes_at, front
-from .curve import ALIKE, HALF, SCENES, STORED, chosen, curve_of
+from .curve import ALIKE, HALF, SCENES, STORED, chosen, curve_of, markdown
 
 STEPS = {  # the method and the storage of each file
     "D3DGS, its authors' network, float32": ("d3dgs", STORED),
@@ -56,4 +54,4 @@ def bands(rows):
 def tell(rows):
     """Print the steps."""
     print("\nfrom D3DGS's file to the paper's design, over the PSNRs that all five files reach")
-    print(*text_table(COLUMNS, bands(rows)), sep="\n")
+    print(markdown(COLUMNS, bands(rows)))
