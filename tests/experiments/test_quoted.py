@@ -11,6 +11,7 @@ import pytest
 
 from p4dgs_ref.lab.writer import means, read_csv
 from tutorials.experiments import RECORDS, equal_terms
+from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve, growing_detail, numbers, steps
 from tutorials.experiments.tables.rows import TEXTS
 
@@ -31,7 +32,14 @@ def compared(name):
     return [row for pair in pairs for row in curve.compare(rows, *pair)]
 
 
+def coded(name):
+    """What coded networks change, each row and the means."""
+    rows = [*decision.comparisons(read_csv(RECORDS / f"{name}.csv", TEXTS))]
+    return rows + means(rows, "lambda_rate") + means(rows, "lambda_rate", "scene")
+
+
 KINDS = {
+    "coded": coded,
     "compare": compared,
     "steps": lambda name: steps.bands(curve.read(name)),
     "numbers": lambda name: numbers.inferred() + numbers.measured(curve.read(name)),

@@ -7,6 +7,7 @@ import pytest
 
 from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import SceneError
 from tutorials.experiments.coded_networks import __main__ as coded
 from tutorials.experiments.coded_networks import decision
@@ -35,6 +36,8 @@ def test_every_row_is_that_of_its_file(scene, tmp_path):
         assert row["sha256"] == hashlib.sha256(data).hexdigest()[:16]
         kinds = [row[f"{kind}_bytes"] for kind in ("gaussians", "network", "other")]
         assert sum(kinds) == row["bytes"] and min(kinds) >= 0
+        if task.method == PAPERS:
+            assert row["other_bytes"] == components(data)["header"]
         assert row["psnr_db"] == evaluate(model, scene)[0]["psnr_db"] != row["held_back_db"]
         assert row["train_seconds"] > 0 and "p4dgs_ref" in row["arithmetic"]
 
