@@ -12,33 +12,36 @@ The direction of view is that of the moved Gaussian, x_t - x_c. The authors' ker
 in its forward pass and x_t in its backward pass, which is a mistake.
 """
 
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from p4dgs_ref.equations.numerics import sigmoid, sigmoid_slope
 from p4dgs_ref.model import with_backward
-from p4dgs_ref.splatting import projection, render
+from p4dgs_ref.splatting import render
 
 from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 MIN_WEIGHT = 0.05
 
-# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. They
-# render up to 24 views in one iteration, here it is one. Without a network, motion takes more
-# Gaussians than in the other methods; those of `tiny` grow for longer.
-FIELDS = explicit.FIELDS | {
-    "gaussians": (300_000, 2000),
-    "most": (10**9, 2000),
-    "grow_until": (15_000, 2400),
-    "waves": (2, 2),  # the highest frequency of the colours in time, in periods per scene
-    "start_s_t": (0.2**0.5, 0.2**0.5),  # standard deviation in time before training
-    # rates of positions are per extent of the cameras
-    "lr_t": ((1.6e-4, 1.6e-4), (5e-4, 5e-5)),  # of mu_t
-    "lr_s": ((0.005, 0.005), (0.015, 0.0015)),
-}
-Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
-PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, TINY)}
+
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """Without a network, motion takes more Gaussians than in the other methods.
+
+    The rates of x and mu_t are multiples of the extent of the cameras. The authors render up to 24
+    views in one iteration, here it is one.
+    """
+
+    gaussians: int = 2000
+    most: int = 2000
+    grow_until: int = 2400
+    waves: int = 2  # the highest frequency of the colours in time, in periods per scene
+    start_s_t: float = 0.2**0.5  # standard deviation in time before training
+    lr_t: tuple = (5e-4, 5e-5)  # of mu_t
+    lr_s: tuple = (0.015, 0.0015)
 
 
 class GaussiansAt(NamedTuple):
@@ -150,17 +153,9 @@ class Gaussian4D(explicit.Explicit):
 
     def render_gaussians(self, g, camera, settings, keep=True):
         """See `Explicit`."""
-        x, Sigma = g.x.astype(float), g.Sigma.astype(float)
-        splats, saved_splats = projection.forward(x, Sigma, **render.pinhole(camera, settings))
         looks = camera, self.background, settings, self.occlusion, keep
-        output, (compositor, saved) = render.composite(splats, g.alpha, g.color, *looks)
-
-        def back(image_bar):
-            bars = compositor.backward(saved, image_bar)
-            of_conic = {"mean2d_bar": bars["mean2d"], "conic_bar": bars.pop("conic")}
-            return {**projection.backward(saved_splats, **of_conic), **bars}
-
-        return output, back
+        output, saved = render.from_covariances(g.x, g.Sigma, g.alpha, g.color, *looks)
+        return output, partial(render.from_covariances_backward, saved)
 
 
 def four_scales(p):
