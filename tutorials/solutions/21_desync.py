@@ -6,7 +6,8 @@ import numpy as np
 
 from p4dgs_ref import lessons
 from p4dgs_ref.codec import context, published
-from p4dgs_ref.designs import quantised_of
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
 from p4dgs_ref.oracle import streams
 
@@ -43,7 +44,7 @@ stored = {}
 for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
 stream = (published.FOLDER / "full.p4dgs").read_bytes()
-full = quantised_of(stream).model
+full = quantised_of(read_container(stream)).model
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
 y = context.run_network(h, layers)

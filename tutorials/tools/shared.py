@@ -66,3 +66,8 @@ def markdown_table(heads, rows):
     """Return a table as Markdown."""
     lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
+
+def file_of(equation):
+    """The path in the checkout of the file that holds an equation of the table."""
+    return f"{equation.forward.__module__.replace('.', '/')}.py"

@@ -14,15 +14,16 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
 from p4dgs_ref import lessons
-from p4dgs_ref.designs import encode, quantised_of
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
+from p4dgs_ref.training.progress import psnr
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
@@ -166,14 +167,14 @@ def layers(ax, shares, colors):
     ax.stairs(left, edges, color=ANCHOR, lw=3, baseline=None)
 
 
-def strip(ax, sizes, y, colors, height=0.7, labels=None):
+def strip(ax, sizes, y, colors, labels=()):
     """Draw {name: size} as one bar from 0 on, in {name: colour}.
 
-    `labels` is {name: (height of the text's upper end, text)}.
+    `labels` is {name: (height of the text's upper end, text)}; a name may be missing.
     """
     for end, (name, size) in zip(np.cumsum([*sizes.values()]), sizes.items()):
-        ax.barh(y, size, height, end - size, color=colors[name], edgecolor="white")
-        if labels:
+        ax.barh(y, size, 0.7, end - size, color=colors[name], edgecolor="white")
+        if name in labels:
             ax.text(end - size / 2, *labels[name], ha="center", va="top", fontsize=14)
 
 
@@ -219,15 +220,14 @@ def prediction(figure, file, camera, t, anchor, walk):
     g = file.model.gaussians(t, camera)
     children = g.index // file.model.design.k == anchor
     mean2d, cov2d, *_ = splats(g, camera, children)
-    x, y = middle = mean2d.mean(axis=0)
+    x, y = mean2d.mean(axis=0)
     image = 0.3 * frame(file.model, camera, t, 20) + 0.7
     picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 10, y - 10))
     ellipses(family, mean2d, cov2d, fc=g.color[children], ec=STEP, lw=3)
     family.set_title(f"its {children.sum()} Gaussians")
     shades = np.array([file.model.gaussians(t, at).color[children] for at in walk.values()])
-    for i, away in enumerate(mean2d - middle, 1):
-        place = middle + away * (1 + 2.6 / np.linalg.norm(away))
-        family.text(*place, i, ha="center", va="center", weight="bold", size=22)
+    for i, place in enumerate(mean2d, 1):
+        family.text(*place, i, ha="center", va="center", weight="bold", color="white")
         extent = (min(walk), max(walk), i + 0.4, i - 0.4)
         colors.imshow(shades[None, :, i - 1], extent=extent, aspect="auto")
     colors.set(
@@ -281,7 +281,7 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
     Q_0, d = np.array(model.design.Q_0), model.design.d
     for (top, bottom), factor in zip(axes, factors):
         data = encode(replace(model, design=replace(model.design, Q_0=tuple(factor * Q_0))))
-        file = quantised_of(data)
+        file = quantised_of(read_container(data))
         scored_picture(top, file.model, data, camera, t, truth, view, f"steps × {factor}")
         values, counts = np.unique(file.symbols[:, :d], return_counts=True)
         bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
@@ -336,7 +336,7 @@ def bits(figure, data, camera, t, view):
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
     picture(left, image, camera, **view, title="anchors coloured by their bits")
     figure.colorbar(scale, ax=left, location="bottom", label="bits")
-    coded = symbol_bits(quantised_of(data))
+    coded = symbol_bits(quantised_of(read_container(data)))
     groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
     table = np.column_stack([whole - coded.sum(axis=1), groups])
     rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]
