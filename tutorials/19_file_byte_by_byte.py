@@ -23,7 +23,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("19_file_byte_by_byte")
+architecture.show("19_file_byte_by_byte", "rounding", "entropy_coder", "file")
 
 # %% [markdown]
 # ## Claim

@@ -22,7 +22,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture, shared
 
-architecture.show("21_desync")
+architecture.show("21_desync", "hash_grid", "prior", "entropy_coder")
 plt.rcParams["image.interpolation"] = "nearest"
 data = (shared.FOLDER / "demo.p4dgs").read_bytes()  # a trained model of 199 anchors
 

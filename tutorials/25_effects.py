@@ -19,7 +19,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("25_effects")
+architecture.show("25_effects", "view", "color", "deformation", "deformed", "compositing")
 
 # %% [markdown]
 # ## Claim

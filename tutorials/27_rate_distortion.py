@@ -18,7 +18,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture, shared
 
-architecture.show("27_rate_distortion")
+architecture.show("27_rate_distortion", "total_loss", "rate_loss", "file")
 
 # %% [markdown]
 # ## Claim

@@ -19,7 +19,15 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("28_porting_in_an_afternoon")
+architecture.show(
+    "28_porting_in_an_afternoon",
+    "rounding",
+    "hash_grid",
+    "projection",
+    "compositing",
+    "entropy_coder",
+    "file",
+)
 node = shutil.which("node") or print("node is not installed: the port is not run here")
 
 # %% [markdown]

@@ -141,19 +141,14 @@ MOVED = (
     (-0.6, -0.8, 4.2, 1.2, 15, GREEN),
     (2.2, -1.8, 1.5, 1.6, 0, ORANGE),
 )
-ANCHORS = (
-    (-2.2, 1.6, 1.1, 1.1, 0, BLACK),
-    (-3.1, 2.3, 0.6, 0.6, 0, BLUE),
-    (-1.1, 2.4, 0.6, 0.6, 0, BLUE),
-    (-2.6, 0.5, 0.6, 0.6, 0, BLUE),
-    (1.6, 0.9, 1.1, 1.1, 0, BLACK),
-    (2.8, 1.4, 0.6, 0.6, 0, BLUE),
-    (1.2, 2.2, 0.6, 0.6, 0, BLUE),
-    (2.1, -0.2, 0.6, 0.6, 0, BLUE),
-    (-0.4, -1.8, 1.1, 1.1, 0, BLACK),
-    (-1.7, -1.7, 0.6, 0.6, 0, BLUE),
-    (0.3, -2.9, 0.6, 0.6, 0, BLUE),
-    (0.8, -1.4, 0.6, 0.6, 0, BLUE),
+CHILDREN = ((-0.9, 0.7), (1.1, 0.8), (-0.4, -1.1))  # about each anchor
+ANCHORS = tuple(
+    dot
+    for x, y in ((-2.2, 1.6), (1.6, 0.9), (-0.4, -1.8))
+    for dot in (
+        (x, y, 1.1, 1.1, 0, BLACK),
+        *((x + dx, y + dy, 0.6, 0.6, 0, BLUE) for dx, dy in CHILDREN),
+    )
 )
 ICONS = (
     Icon("anchors", 5, 35.5, ANCHORS),
@@ -183,50 +178,15 @@ ARROWS = (
     Arrow(((71, 4.5), (75.5, 4.5)), "$p$", (73.2, 5.7)),
     Arrow(((89, 4.5), (92, 4.5))),
 )
-# Of the tutorials that explain no equation of their own; all boxes are lit where there are none.
-LIT = {
-    "17_four_stages": (
-        "deformation",
-        "deformed",
-        "noise",
-        "step",
-        "hash_grid",
-        "prior",
-        "likelihood",
-        "rate_loss",
-        "total_loss",
-    ),
-    "18_one_training_step": ("noise", "render_loss", "rate_loss", "total_loss"),
-    "19_file_byte_by_byte": ("rounding", "entropy_coder", "file"),
-    "20_intervals_to_rans": ("likelihood", "entropy_coder", "file"),
-    "21_desync": ("hash_grid", "prior", "entropy_coder"),
-    "22_five_questions_about_bits": (
-        "noise",
-        "rounding",
-        "step",
-        "likelihood",
-        "anchor_rate",
-        "hash_rate",
-    ),
-    "23_accuracy_versus_time": ("compositing", "likelihood"),
-    "24_hard_cases": ("step", "likelihood", "hash_rate", "ssim", "projection", "compositing"),
-    "25_effects": ("view", "color", "deformation", "deformed", "compositing"),
-    "27_rate_distortion": ("total_loss", "rate_loss", "file"),
-    "28_porting_in_an_afternoon": (
-        "rounding",
-        "hash_grid",
-        "projection",
-        "compositing",
-        "entropy_coder",
-        "file",
-    ),
-}
 
 
-def show(name):
-    """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png."""
-    keys = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}.get(name)
-    lessons.show(draw_method(keys or LIT.get(name, ())), f"{name[:2]}_map")
+def show(name, *keys):
+    """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png.
+
+    These are the boxes of its equations, or of `keys` where it explains none; without any, all.
+    """
+    own = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
+    lessons.show(draw_method(own or keys), f"{name[:2]}_map")
 
 
 @styled(lessons.STYLE)

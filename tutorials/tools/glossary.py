@@ -31,25 +31,14 @@ Symbol = namedtuple("Symbol", "name letter meaning unit", defaults=(None, "", ""
 
 SYMBOLS = (
     Symbol("O_a", "O"),
-    Symbol("mask", meaning="False for a child that is masked for good and costs no bits"),
     Symbol("delta_vc", unit="scene units"),
-    Symbol("d_vc", meaning="viewing direction, from the camera to the anchor"),
-    Symbol("psi_alpha", meaning="network of the opacities"),
-    Symbol("psi_c", meaning="network of the colours"),
-    Symbol("psi_r", meaning="network of the rotations"),
-    Symbol("psi_s", meaning="network of the scales"),
     Symbol("x", meaning="centres of the canonical Gaussians"),
-    Symbol("alpha", meaning="opacities"),
     Symbol("color", "c", "colours: red, green, blue"),
     Symbol("r", meaning="rotations: unit quaternions (w, x, y, z)"),
-    Symbol("s", meaning="standard deviations along the axes of a Gaussian"),
     Symbol("tau_alpha", meaning="threshold of the opacity"),
     Symbol("index", meaning="which Gaussians are kept: child i of anchor a is number a k + i"),
-    Symbol("t", meaning="time, from 0 to 1"),
     Symbol("E", r"\mathcal{E}", "positional encoding"),
     Symbol("p", "", "what is encoded: positions or times", "radians"),
-    Symbol("L", meaning="number of frequencies of an encoding"),
-    Symbol("psi_d", meaning="network of the deformation, with three heads"),
     Symbol("delta_x", r"\Delta x", unit="scene units"),
     Symbol("delta_s", r"\Delta s", unit="scene units"),
     Symbol("delta_r", r"\Delta r"),
@@ -58,8 +47,6 @@ SYMBOLS = (
     Symbol("r_t", "r'", "unit quaternions at time t"),
     Symbol("f", "f_a", "the numbers of one attribute: feature, scale, offset scaling, offsets"),
     Symbol("u", r"\mathcal{U}", "noise in [-1/2, 1/2)"),
-    Symbol("q", meaning="quantisation step, one for each anchor and attribute group"),
-    Symbol("psi_q", meaning="network of the steps"),
     Symbol("f_noisy", r"\tilde f_a", "value with noise"),
     Symbol("f_hat", r"\hat f_a", "rounded value", "units of the attribute"),
     Symbol("symbols", meaning="the integers that are coded"),
@@ -67,7 +54,6 @@ SYMBOLS = (
     Symbol("resolutions", meaning="axes and nodes per axis of every level"),
     Symbol("lo", unit="scene units"),
     Symbol("hi", meaning="opposite corner of this box", unit="scene units"),
-    Symbol("psi_p", meaning="network of the prior: means and logarithms of sigma"),
     Symbol("mu", unit="units of the attribute"),
     Symbol("sigma", unit="units of the attribute"),
     Symbol("bits", r"-\log_2 p", "bits of each value; in Eq. (17) of the scene", "bits"),
@@ -93,13 +79,11 @@ SYMBOLS = (
     Symbol("focal", "f_x, f_y", "focal lengths"),
     Symbol("center", "c_x, c_y"),
     Symbol("tan_clamp", meaning="clamp of x/z and y/z, relative to the edge of the image"),
-    Symbol("blur", meaning="added to both variances of a splat"),
     Symbol("mean2d", meaning="centres of the splats"),
     Symbol("cov2d", r"\Sigma_{2D}", "covariances of the splats, as (a, b, c)", "square pixels"),
     Symbol("conic", "K", "their inverses, as (a, b, c) of [[a, b], [b, c]]"),
     Symbol("depth", "z", "distance along the optical axis", "scene units"),
     Symbol("width", meaning="of the image", unit="pixels"),
-    Symbol("occlusion", meaning="False: splats add up and hide nothing"),
     Symbol("alpha_max", r"\alpha_{max}", "clamp of the opacity of a splat at a pixel"),
     Symbol("transmittance", "T_N", "share of the background that a pixel shows"),
 )
@@ -166,8 +150,10 @@ def written(spec):
     return tuple(f"{prefix}[{', '.join(shape)}]" for shape in shapes)
 
 
-def meaning(comment):
+def meaning(key, comment):
     """What a comment says, without shape, unit, choices and additions after a semicolon."""
+    if shape_comments.parsed(comment).network:
+        return f"network of {key}"
     text = re.sub(r"^(list of )?\[[^]]*\](, one a level:)?", "", comment)
     text = re.sub(rf" ?\(({'|'.join(UNITS)}|Q\d+)(;[^)]*)?\)", "", text).split(";")[0]
     return re.sub(r", converted to .*|, > 0", "", text).strip()
@@ -187,13 +173,14 @@ def row(name, places):
     symbol = next((symbol for symbol in SYMBOLS if symbol.name == name), Symbol(name))
     letter = letter_of(name) if symbol.letter is None else symbol.letter
     places = sorted(places, key=lambda place: (not place.computed, not EQUATIONS[place.key].number))
-    comments = [place.comment for place in places if place.comment]
+    comments = " ".join(place.comment for place in places)
+    meanings = (meaning(place.key, place.comment) for place in places)
     return (
         f"${letter}$" if letter else "",
         f"`{name}`",
-        symbol.meaning or next(filter(None, map(meaning, comments)), ""),
+        symbol.meaning or next(filter(None, meanings), ""),
         "; ".join(dict.fromkeys(shape for place in places for shape in place.shapes)),
-        symbol.unit or next(iter(STATED.findall(" ".join(comments))), ""),
+        symbol.unit or next(iter(STATED.findall(comments)), ""),
         ", ".join(links(places)),
     )
 
