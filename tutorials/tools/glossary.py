@@ -51,9 +51,6 @@ SYMBOLS = (
     Symbol("f_hat", r"\hat f_a", "rounded value", "units of the attribute"),
     Symbol("symbols", meaning="the integers that are coded"),
     Symbol("grids", r"\mathcal{H}", "binary hash grid: parameters of which the sign is used"),
-    Symbol("resolutions", meaning="axes and nodes per axis of every level"),
-    Symbol("lo", unit="scene units"),
-    Symbol("hi", meaning="opposite corner of this box", unit="scene units"),
     Symbol("mu", unit="units of the attribute"),
     Symbol("sigma", unit="units of the attribute"),
     Symbol("bits", r"-\log_2 p", "bits of each value; in Eq. (17) of the scene", "bits"),
@@ -78,13 +75,10 @@ SYMBOLS = (
     Symbol("R", meaning="rotations of frames in which the covariances are given"),
     Symbol("focal", "f_x, f_y", "focal lengths"),
     Symbol("center", "c_x, c_y"),
-    Symbol("tan_clamp", meaning="clamp of x/z and y/z, relative to the edge of the image"),
     Symbol("mean2d", meaning="centres of the splats"),
     Symbol("cov2d", r"\Sigma_{2D}", "covariances of the splats, as (a, b, c)", "square pixels"),
     Symbol("conic", "K", "their inverses, as (a, b, c) of [[a, b], [b, c]]"),
     Symbol("depth", "z", "distance along the optical axis", "scene units"),
-    Symbol("width", meaning="of the image", unit="pixels"),
-    Symbol("alpha_max", r"\alpha_{max}", "clamp of the opacity of a splat at a pixel"),
     Symbol("transmittance", "T_N", "share of the background that a pixel shows"),
 )
 GREEK = ("alpha", "delta", "psi", "tau", "mu", "sigma", "lambda")

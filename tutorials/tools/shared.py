@@ -5,9 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-from scipy.cluster.vq import kmeans2, vq
-
 from p4dgs_ref.output import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,26 +37,6 @@ def run(name, arguments, out):
 def write_text(path, text):
     """Write a text file in one step."""
     write_atomically(path, lambda file: file.write(text.encode()))
-
-
-def palette(pixels):
-    """At most 256 colours [M, 3] that stand for those of pixels [..., 3].
-
-    The two most frequent ones are among them; the others stand for rare colours as well.
-    """
-    colors, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
-    frequent = colors[np.argsort(-counts, kind="stable")[:2]]
-    others = kmeans2(colors.astype(float), min(254, len(colors)), minit="++", seed=0)[0]
-    return np.concatenate([frequent, np.rint(others)])
-
-
-def in_colors(pixels, colors):
-    """The pixels [..., 3] in 8 bits, each in the nearest of some colours [M, 3]."""
-    return (
-        colors[vq(pixels.reshape(-1, 3).astype(float), colors)[0]]
-        .astype(np.uint8)
-        .reshape(pixels.shape)
-    )
 
 
 def markdown_table(heads, rows):

@@ -18,11 +18,9 @@ from pathlib import Path
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.lessons import TUTORIALS, tutorial_of
-from p4dgs_ref.oracle.published import subjects
 from tutorials.tools import gallery, glossary, handout, shared, tour
 from tutorials.tools.shared import FOLDER, write_text
 
-CAPTION = "The architecture of P-4DGS; numbers are those of the paper's equations"
 PATHS = {  # through the ideas of the method, by what a reader knows
     "you know 3DGS": ("01", "02", "03", "05", "07", "08", "09", "10", "11"),
     "you do not": ("01", "02", "03", "05", "07", "08", "10", "13", "14", "15"),
@@ -31,8 +29,7 @@ PATHS = {  # through the ideas of the method, by what a reader knows
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
 # What is read from a tutorial's file: its title, the numbers of the tutorials that a reader should
-# know, the minutes for reading and for the exercises, and the exercises with the keys of the
-# equations that they are about, {"01.2": keys}.
+# know, the minutes for reading and for the exercises, and the exercises.
 Facts = namedtuple("Facts", "title after reading doing exercises")
 
 
@@ -55,8 +52,8 @@ def facts(tutorial):
             "**Before it:** ... **Takes** ... on two cores, "
             "... minutes of reading and ... of exercises."
         )
-    asked = exercises(source, tutorial.keys)
-    return Facts(title[1], prerequisites(head[1]), int(head[2]), int(head[3]), asked)
+    minutes = int(head[2]), int(head[3])
+    return Facts(title[1], prerequisites(head[1]), *minutes, exercises(source))
 
 
 def prerequisites(text):
@@ -70,25 +67,14 @@ def prerequisites(text):
     return tuple(dict.fromkeys(named))
 
 
-def exercises(source, keys):
-    """{exercise: keys of its equations} in the source of a tutorial or of its solutions.
-
-    An exercise whose check names none of the tutorial's equations is about all of them.
-    """
-    calls = re.findall(r'lessons\.(\w+)\(\s*"(\d\d\.\d)",([^\n]*(?:\n    [^\n]*)*)', source)
-    keys_of = {}
-    for check, exercise, arguments in calls:
-        words = set(re.findall(r"\w+", arguments))
-        if check != "check_number":
-            words = {subjects()[word]["equation"] for word in words & set(subjects())}
-        keys_of[exercise] = tuple(key for key in keys if key in words) or keys
-    return dict(sorted(keys_of.items()))
+def exercises(source):
+    """The numbers of the exercises in the source of a tutorial or of its solutions, "01.2"."""
+    return sorted(set(re.findall(r'lessons\.check_\w+\(\s*"(\d\d\.\d)"', source)))
 
 
 # --- tables ---------------------------------------------------------------------------------------
 def equations_table():
     """A Markdown table with one row for each equation."""
-    asked = [item for t in TUTORIALS for item in facts(t).exercises.items()]
     rows = [
         (
             equation.number,
@@ -96,11 +82,10 @@ def equations_table():
             f"[`{shared.file_of(equation)}`](../{shared.file_of(equation)})",
             f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
             f"[{tutorial_of(key).name}](notebooks/{tutorial_of(key).name}.ipynb)",
-            ", ".join(exercise for exercise, keys in asked if key in keys),
         )
         for key, equation in EQUATIONS.items()
     ]
-    return shared.markdown_table(("no.", "key", "file", "vectors", "tutorial", "exercises"), rows)
+    return shared.markdown_table(("no.", "key", "file", "vectors", "tutorial"), rows)
 
 
 def path_table():
@@ -115,13 +100,8 @@ def path_table():
         if any(t.name[:2] in path for path in PATHS.values())
     ]
     head = ("tutorial", "what it is about", *(f"minutes, if {knows}" for knows in PATHS))
-    sums = [f"{minutes(path)}" for path in PATHS.values()]
-    return shared.markdown_table(head, [*rows, ("together", "", *sums)])
-
-
-def minutes(path):
-    """The minutes that it takes to read the tutorials of a path."""
-    return sum(facts(t).reading for t in TUTORIALS if t.name[:2] in path)
+    sums = [sum(facts(t).reading for t in TUTORIALS if t.name[:2] in p) for p in PATHS.values()]
+    return shared.markdown_table(head, [*rows, ("together", "", *map(str, sums))])
 
 
 def both_forms(name):
@@ -147,11 +127,9 @@ def index():
     """
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     sections = {
-        "architecture": f"![{CAPTION}](pictures/{gallery.ARCHITECTURE})",
         "paths": path_table(),
         "order": order_table(),
         "equations": equations_table(),
-        "gallery": gallery.gallery(),
     }
     for name, made in sections.items():
         before, mark, after = text.partition(f"<!-- {name} -->\n")
