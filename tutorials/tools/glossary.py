@@ -79,6 +79,7 @@ SYMBOLS = (
     Symbol("cov2d", r"\Sigma_{2D}", "covariances of the splats, as (a, b, c)", "square pixels"),
     Symbol("conic", "K", "their inverses, as (a, b, c) of [[a, b], [b, c]]"),
     Symbol("depth", "z", "distance along the optical axis", "scene units"),
+    Symbol("width", meaning="of the image", unit="pixels"),
     Symbol("transmittance", "T_N", "share of the background that a pixel shows"),
 )
 GREEK = ("alpha", "delta", "psi", "tau", "mu", "sigma", "lambda")
