@@ -7,13 +7,13 @@ training views.
 """
 
 import numpy as np
-from scipy.cluster.vq import kmeans2, vq
 
 from p4dgs_ref.report import evaluate, figures
 from p4dgs_ref.scenes import load, scene, simulator
 from p4dgs_ref.scenes.files import write_image
 from p4dgs_ref.scenes.simulator.trace import trace
 from tutorials.tools import show
+from tutorials.tools.shared import in_few_colors
 
 FRAMES = 22
 MILLISECONDS = 80  # a frame
@@ -76,26 +76,6 @@ def frame(true, picture, t):
     return np.asarray(figure.canvas.buffer_rgba())[..., :3]
 
 
-def palette(pixels):
-    """At most 256 colours [M, 3] that stand for those of pixels [..., 3].
-
-    The two most frequent ones are among them; the others stand for rare colours as well.
-    """
-    colors, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
-    frequent = colors[np.argsort(-counts, kind="stable")[:2]]
-    others = kmeans2(colors.astype(float), min(254, len(colors)), minit="++", seed=0)[0]
-    return np.concatenate([frequent, np.rint(others)])
-
-
-def in_colors(pixels, colors):
-    """The pixels [..., 3] in 8 bits, each in the nearest of some colours [M, 3]."""
-    return (
-        colors[vq(pixels.reshape(-1, 3).astype(float), colors)[0]]
-        .astype(np.uint8)
-        .reshape(pixels.shape)
-    )
-
-
 def write_animation(path, model, name="bouncing"):
     """Write the animation of a decoded model of a packaged scene to a GIF."""
     description = simulator.read_description(load.find_scene(name) / load.DESCRIPTION)
@@ -108,5 +88,5 @@ def write_animation(path, model, name="bouncing"):
         for camera, t in views(description)
     ]
     frames = np.array([frame(*one) for one in shown])
-    frames = in_colors(frames, palette(frames.reshape(-1, 3)[::SAMPLED]))
+    frames = in_few_colors(frames, SAMPLED)
     write_image(path, [*frames, *frames[-2:0:-1]], duration=MILLISECONDS, loop=0)

@@ -12,7 +12,7 @@ from p4dgs_ref.report.evaluate import compression, evaluate
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.files import image_bytes
 from tutorials.tools import animation, architecture
-from tutorials.tools.shared import FOLDER
+from tutorials.tools.shared import FOLDER, in_few_colors
 
 RECORDS = FOLDER / "records"
 
@@ -42,7 +42,8 @@ def in_few_bytes(figure):
     """The bytes of a picture's file; a PNG gets 256 colours, with which it is a third as large."""
     if figure.suffix != ".png":
         return figure.read_bytes()
-    return image_bytes(iio.imread(figure)[..., :3], ".png", bits=8, optimize=True)
+    image = iio.imread(figure)[..., :3]
+    return image_bytes(in_few_colors(image), ".png", bits=8, optimize=True)
 
 
 def take(out):

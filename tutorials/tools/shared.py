@@ -5,6 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+from scipy.cluster.vq import kmeans2, vq
+
 from p4dgs_ref.output import write_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,6 +40,19 @@ def run(name, arguments, out):
 def write_text(path, text):
     """Write a text file in one step."""
     write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def in_few_colors(pixels, every=1):
+    """The pixels [..., 3] in 8 bits, in at most 256 colours, chosen by one in `every` pixels.
+
+    The two most frequent ones are among them; the others stand for rare colours as well.
+    """
+    flat = pixels.reshape(-1, 3)
+    colors, counts = np.unique(flat[::every], axis=0, return_counts=True)
+    frequent = colors[np.argsort(-counts, kind="stable")[:2]]
+    others = kmeans2(colors.astype(float), min(254, len(colors)), minit="++", seed=0)[0]
+    chosen = np.concatenate([frequent, np.rint(others)])
+    return chosen[vq(flat.astype(float), chosen)[0]].astype(np.uint8).reshape(pixels.shape)
 
 
 def markdown_table(heads, rows):

@@ -253,6 +253,7 @@ def draw_pictures():
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+            pixels = shared.in_few_colors(pixels)
             write_image(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 
