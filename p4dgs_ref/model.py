@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import effects as fx
-from .attributes import ATTRIBUTES, GROUPS
+from .attributes import GROUPS
 from .equations import (
     color,
     deformation,
@@ -58,7 +58,7 @@ class Design:
     @property
     def widths(self):
         """Coded numbers per anchor in each group: f, s, l, O."""
-        return tuple(row.width(self) for row in ATTRIBUTES)
+        return self.d, 3, 3, 3 * self.k
 
     def levels(self):
         """The shape (T, F) of every level of the hash grid."""
@@ -97,11 +97,15 @@ def declared_numbers(design, anchors):
     }
 
 
-# The attributes of every anchor, as linear values (Q5): positions x_a [A, 3], those of ATTRIBUTES
-# with a row per anchor, and which children are kept, mask [A, k] bool (Q15).
-Anchors = NamedTuple(
-    "Anchors", [(name, np.ndarray) for name in ("x_a", *(row.name for row in ATTRIBUTES), "mask")]
-)
+class Anchors(NamedTuple):
+    """The attributes of A anchors, as linear values (Q5)."""
+
+    x_a: np.ndarray  # [A, 3]  positions (scene units)
+    f_a: np.ndarray  # [A, d]  features
+    s_a: np.ndarray  # [A, 3]  scales (scene units)
+    l_a: np.ndarray  # [A, 3]  how far the anchor reaches (scene units)
+    O_a: np.ndarray  # [A, k, 3]  offsets of its children (multiples of l_a)
+    mask: np.ndarray  # [A, k]  bool: which children are kept (Q15)
 
 
 class Gaussians(NamedTuple):
@@ -121,14 +125,14 @@ def with_backward(equation, *inputs):
     return output, partial(equation.backward, saved)
 
 
-def concatenate_groups(*attributes):
-    """The attributes [A, ...] of ATTRIBUTES side by side: [A, n], n = d + 3 + 3 + 3k."""
-    return np.concatenate([values.reshape(len(values), -1) for values in attributes], axis=1)
+def concatenate_groups(f, s, l, O):
+    """The numbers of every anchor that are coded, side by side [A, n], n = d + 3 + 3 + 3k."""
+    return np.concatenate([f, s, l, O.reshape(len(O), -1)], axis=1)
 
 
 def join(anchors):
     """The coded attributes of every anchor side by side [A, n]."""
-    return concatenate_groups(*(getattr(anchors, row.name) for row in ATTRIBUTES))
+    return concatenate_groups(anchors.f_a, anchors.s_a, anchors.l_a, anchors.O_a)
 
 
 def groups(values, design):
@@ -138,8 +142,8 @@ def groups(values, design):
 
 def split(values, design):
     """The inverse of `concatenate_groups`: f [A, d], s, l [A, 3] and O [A, k, 3], as views."""
-    parts = zip(groups(values, design), ATTRIBUTES)
-    return [part.reshape(len(part), *row.sizes(design)) for part, row in parts]
+    f, s, l, O = groups(values, design)
+    return f, s, l, O.reshape(len(O), design.k, 3)
 
 
 def move(design, networks, x, s, r, t):
@@ -208,8 +212,13 @@ def predict(design, networks, anchors, x_c, t=None):
             seeing = [psi for psi in predicted.values() if psi["d_vc"].shape[1]]
             delta_vc_bar = sum(psi["delta_vc"] for psi in seeing)
             x_a_bar = x_a_bar + back_view(delta_vc_bar, sum(psi["d_vc"] for psi in seeing))["x_a"]
-        attributes_bar = {"f_a": f_a_bar, "s_a": psi_s["s_a"], "l_a": placed["l_a"]}
-        attributes_bar |= {"x_a": x_a_bar, "O_a": placed["O_a"]}
+        attributes_bar = {
+            "x_a": x_a_bar,
+            "f_a": f_a_bar,
+            "s_a": psi_s["s_a"],
+            "l_a": placed["l_a"],
+            "O_a": placed["O_a"],
+        }
         return attributes_bar, {**networks_bar, **predicted}
 
     return Gaussians(x, s, r, alpha_kept, c, index), alpha, back

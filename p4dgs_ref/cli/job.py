@@ -15,11 +15,10 @@ from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
-from ..scenes.fields import SceneError
 from ..scenes.files import write_image
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training.fit import CHECKPOINT, GO_ON, doubts, fit, load_model, lost
-from ..training.presets import choose, differences, rows_of
+from ..training.presets import choose
 from ..training.trainer import Trainer
 from . import UsageError, caution, progress, require, say, show, tell, text
 
@@ -226,26 +225,10 @@ def render(arguments):
     tell(f"{output}: {len(images)} images")
 
 
-def frozen_camera(arguments, model):
-    """The camera whose view is exported, and its name for the header."""
-    if arguments.camera is None and not arguments.scene:
-        return figures.held_camera(model), "a held camera"
-    scene = arguments.scene or Path(arguments.file).stem  # `demo` names a file after its scene
-    i = arguments.camera or 0
-    try:
-        views = p4.load_scene(scene).test
-    except SceneError as error:
-        raise UsageError(
-            f"{'--scene' if arguments.scene else '--camera without --scene'}: {error}"
-        ) from None
-    require(i < len(views), f"--camera {i}", f"expected one of the views 0 ... {len(views) - 1}")
-    return views[i].camera, f"view {views[i].name} of {scene}"
-
-
 def export_ply(arguments):
-    """Write the Gaussians of one time as one camera sees them."""
+    """Write the Gaussians of one time as the held camera sees them."""
     file, (_, model, _) = Path(arguments.file), read_file(arguments.file)
-    camera, name = frozen_camera(arguments, model)
+    camera = figures.held_camera(model)
     gaussians = model.gaussians(arguments.time, camera)
     with new_file(arguments.output or file.with_suffix(".ply"), file, start=b"ply\n") as output:
         splats.write_gaussians(
@@ -253,12 +236,12 @@ def export_ply(arguments):
             gaussians,
             comments=(
                 f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
-                "frozen view: {}, camera at {:.4g} {:.4g} {:.4g}".format(name, *camera.center),
+                "colours as seen from {:.4g} {:.4g} {:.4g}".format(*camera.center),
                 "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
                 f"effects of the model: {' '.join(model.design.effects) or 'none'}",
             ),
         )
-    tell(f"{output}: {len(gaussians.alpha)} Gaussians, frozen for {name}")
+    tell(f"{output}: {len(gaussians.alpha)} Gaussians")
 
 
 def view(arguments):
@@ -292,37 +275,16 @@ def evaluate(arguments):
 
 def inspect(arguments):
     """List the sections of a file."""
-    require(arguments.output or not arguments.heat, "--heat", "expected together with -o FOLDER")
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
         with filled(arguments.output, arguments.file) as staging:
             figures.write_csv(staging / "sections.csv", rows)
             figures.draw_ledger(staging / "sections.png", rows)
-            if arguments.heat:
-                model, bits = sizes.anchor_bits(data)
-                figures.write_heat(staging, model, bits, figures.held_camera(model))
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 
 def presets(arguments):
     """Print the presets beside the paper's values."""
     one = arguments.preset
-    rows = [read_preset(name) for name in ([one] if one else p4.PRESETS)]
-    show(
-        arguments,
-        {
-            preset.name: {
-                "fields": vars(preset),
-                "differs": [
-                    {"field": field, "paper": paper, "here": here}
-                    for field, paper, here in differences(preset)
-                ],
-                "sources_of_paper_presets": {
-                    name: row.metadata["source"] for name, row in rows_of(preset).items()
-                },
-            }
-            for preset in rows
-        },
-        text.presets(rows, bool(one)),
-    )
+    tell(text.presets([read_preset(name) for name in ([one] if one else p4.PRESETS)], bool(one)))

@@ -247,10 +247,6 @@ GROUPS = {
                 FILE,
                 JSON,
                 output("folder for the table and the picture"),
-                switch(
-                    "--heat",
-                    "with -o: also draw the scene in colours that show what its anchors cost",
-                ),
             ),
         ),
         "view": (
@@ -273,23 +269,13 @@ GROUPS = {
                     metavar="T",
                     help="to freeze (0)",
                 ),
-                option(
-                    "--camera",
-                    type=bounded(int, 0),
-                    metavar="I",
-                    help="test view I of --scene, from 0, instead of a held camera",
-                ),
-                option("--scene", help="of the camera (default: what FILE is named after)"),
                 output("file to write (default beside FILE)"),
             ),
         ),
         "presets": (
             "job.presets",
             "what each preset changes, beside the paper's values",
-            (
-                option("preset", nargs="?", help="show all fields of this one only"),
-                JSON,
-            ),
+            (option("preset", nargs="?", help="show all fields of this one only"),),
         ),
     },
     "Ports, for authors of an implementation in another language": {

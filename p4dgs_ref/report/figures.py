@@ -236,36 +236,6 @@ def heat_image(model, colors, camera, t, settings=FAST):
 
 
 @styled()
-def write_heat(folder, model, bits, camera):
-    """heat.csv, and heat.png: Gaussians in colours for the bits (A,) of their anchors, histogram.
-
-    The model is drawn at the middle of its time.
-    """
-    write_csv(
-        folder / "heat.csv",
-        [
-            {"anchor": a, **dict(zip("xyz", x)), "bits": b}
-            for a, (x, b) in enumerate(zip(model.anchors.x_a, bits))
-        ],
-    )
-    from matplotlib import cm, colors
-
-    figure, (left, right) = subplots(1, 2, figsize=(11, 5), width_ratios=(1.2, 1))
-    scale = cm.ScalarMappable(colors.Normalize(bits.min(), bits.max()), "viridis")
-    left.imshow(np.clip(heat_image(model, scale.to_rgba(bits)[:, :3], camera, 0.5), 0, 1))
-    left.set(xticks=[], yticks=[], title="bits of the anchors, in place")
-    left.spines[:].set_visible(False)
-    figure.colorbar(scale, ax=left, label="bits of the Gaussian's anchor", shrink=0.9)
-    right.hist(bits, bins=30)
-    right.set(
-        xlabel="bits of an anchor: position, f, s, l, O, masks",
-        ylabel="anchors",
-        title=f"{len(bits):,} anchors, {bits.mean():.0f} bits on average",
-    )
-    save_figure(figure, folder / "heat.png")
-
-
-@styled()
 def write_training(folder, history, stage_ends):
     """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
     write_csv(folder / "training.csv", [dict(zip(COLUMNS, row)) for row in history])

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, ROWS
-
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
 MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
 
 
@@ -24,7 +23,7 @@ class Statistics:
     @classmethod
     def empty(cls, A, k):
         """The statistics of A anchors with k children before the first view."""
-        return cls(np.zeros(A), np.zeros((A, k)), np.zeros((A, k)), np.zeros((A, k)))
+        return cls(np.zeros(A), *np.zeros((3, A, k)))
 
     def collect(self, rendered, mean2d_bar, width, height):
         """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
@@ -81,27 +80,27 @@ def grow(p, statistics, preset, rng):
     for level in range(preset.grow_depth):
         threshold = preset.gradient_threshold * (preset.grow_hierarchy // 2) ** level
         wanted = eligible & (gradient >= threshold) & (rng.random(len(x)) > 0.5 ** (level + 1))
-        if level and len(taken) == 1 or not wanted.any():
+        if level and len(taken) == 1:
             continue
         size = preset.voxel * max(preset.grow_init // preset.grow_hierarchy**level, 1)
-        cells, cell = np.unique(np.round(x[wanted] / size), axis=0, return_inverse=True)
-        largest = np.full((len(cells), p["f_a"].shape[1]), -np.inf, p["f_a"].dtype)
-        np.maximum.at(largest, cell.ravel(), parents[wanted])
         occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], *taken]) / size).tolist())}
-        free = np.array([tuple(row) not in occupied for row in cells.tolist()])
-        if free.any():
-            taken.append((cells[free] * size).astype(p["x_a"].dtype))
-            features.append(largest[free])
-            sizes.append(np.full(free.sum(), np.log(size)))
-    x_a = np.concatenate(taken)
-    start = {
-        "feature": np.concatenate(features),
-        "spacing": np.concatenate(sizes)[:, None],
-        "zero": 0.0,
+        largest = {}  # {free voxel: feature}
+        for voxel, f_a in zip(map(tuple, np.round(x[wanted] / size).tolist()), parents[wanted]):
+            if voxel not in occupied:
+                largest[voxel] = np.maximum(largest.get(voxel, f_a), f_a)
+        if largest:
+            voxels = sorted(largest)
+            taken.append(np.array(voxels, x.dtype) * size)
+            features.append([largest[voxel] for voxel in voxels])
+            sizes.append(np.full(len(voxels), np.log(size)))
+    log_size = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1)
+    return {
+        "x_a": np.concatenate(taken),
+        "f_a": np.concatenate(features),
+        "log_s": log_size,
+        "log_l": log_size,
+        "O_a": np.zeros((len(log_size), *p["O_a"].shape[1:])),
     }
-    shapes = {row: (len(x_a), *p[row.parameter].shape[1:]) for row in ATTRIBUTES}
-    attributes = {row.parameter: np.broadcast_to(start[row.start], shapes[row]) for row in shapes}
-    return {"x_a": x_a, **attributes}
 
 
 def often_seen(statistics, preset):

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from .. import effects as fx
-from ..attributes import ATTRIBUTES
 from ..model import Design
 from .parameters import Parameters, random_layers
 
@@ -20,7 +19,7 @@ def design_of(preset, effects):
         **same,
         grid=tuple((axes, res) for axes, listed in levels.items() for res in listed),
         table=(preset.table_3d, preset.table_2d),
-        Q_0=tuple(getattr(preset, row.base_step) for row in ATTRIBUTES),
+        Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
         effects=tuple(effects),
     )
 
@@ -57,20 +56,19 @@ def lattice_nodes(points, preset):
 def initial_parameters(preset, design, rng, points=None):
     """The Parameters of a model before training; `points` [A, 3] replace the random ones.
 
-    Their names are x_a, those of ATTRIBUTES, "psi_alpha.W0" and so on for the networks, and
-    "grid.0" and so on.
+    The arrays of a network are "psi_alpha.W0" and so on, those of the hash grid "grid.0" and so on.
     """
     points = starting_points(points, preset.anchors, preset.extent, rng)
     x_a = lattice_nodes(points, preset)
     A = len(x_a)
-    start = {
-        "feature": rng.normal(size=(A, design.d)) * preset.feature_std,
-        "spacing": np.log(neighbour_distance(x_a))[:, None],
-        "zero": 0.0,
+    log_spacing = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)
+    arrays = {
+        "x_a": x_a,
+        "f_a": rng.normal(size=(A, design.d)) * preset.feature_std,
+        "log_s": log_spacing,
+        "log_l": log_spacing,
+        "O_a": np.zeros((A, design.k, 3)),
     }
-    arrays = {"x_a": x_a}
-    for row in ATTRIBUTES:
-        arrays[row.parameter] = np.broadcast_to(start[row.start], (A, *row.sizes(design)))
     for name, shapes in design.layers().items():
         arrays.update(random_layers(rng, name, shapes))
     arrays[f"psi_alpha.b{len(design.hidden)}"] += preset.opacity_bias

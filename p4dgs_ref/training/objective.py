@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, GROUPS
 from ..equations import (
     anchor_rate,
     hash_rate,
@@ -70,8 +69,8 @@ class Rendered(NamedTuple):
 
 def linear_values(p):
     """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
-    trained = [(p[row.parameter], row.is_log) for row in ATTRIBUTES]
-    return concatenate_groups(*(np.exp(values) if is_log else values for values, is_log in trained))
+    s_a, l_a = np.exp(p["log_s"]), np.exp(p["log_l"])
+    return concatenate_groups(p["f_a"], s_a, l_a, p["O_a"])
 
 
 def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
@@ -122,7 +121,9 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
         splats = back_render(back_image(losses_bar["L_render"])["image"])
         g_bar = [splats[name].astype(p.vector.dtype) for name in ("x", "s", "r", "alpha", "color")]
         anchors_bar, networks_bar = back_predict(*g_bar)
-        noisy_bar = concatenate_groups(*(anchors_bar[row.name] for row in ATTRIBUTES))  # [A, n]
+        noisy_bar = concatenate_groups(
+            anchors_bar["f_a"], anchors_bar["s_a"], anchors_bar["l_a"], anchors_bar["O_a"]
+        )  # [A, n]
         if stage == 4:
             rated_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
             # one noisy value is rendered and coded (Q23)
@@ -133,11 +134,13 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
                 gradients[f"grid.{i}"][...] = read_bar + counted_bar
         else:
             values_bar = back_noise(noisy_bar)[0] if stage > 1 else noisy_bar
+        _, s_a, l_a, _ = groups(values, design)
+        f_a_bar, s_a_bar, l_a_bar, O_a_bar = split(values_bar, design)
         gradients["x_a"][...] = anchors_bar["x_a"]
-        columns = zip(ATTRIBUTES, groups(values, design), groups(values_bar, design))
-        for row, linear, bar in columns:
-            slope = linear if row.is_log else 1  # of exp, where the logarithm is trained (Q5)
-            gradients[row.parameter][...] = (bar * slope).reshape(gradients[row.parameter].shape)
+        gradients["f_a"][...] = f_a_bar
+        gradients["log_s"][...] = s_a_bar * s_a  # the slope of exp (Q5)
+        gradients["log_l"][...] = l_a_bar * l_a
+        gradients["O_a"][...] = O_a_bar
         for name, network_bar in networks_bar.items():
             gradients.fill(name, network_bar)
         return gradients, splats["mean2d"]
@@ -151,7 +154,7 @@ def add_noise(values, u, steps, design):
 
     back(noisy_bar) returns the gradients of the values [A, n] and of the steps [A, 4].
     """
-    columns = zip(groups(values, design), groups(u, design), np.split(steps, len(GROUPS), axis=1))
+    columns = zip(groups(values, design), groups(u, design), np.split(steps, 4, axis=1))
     noisy, backs = zip(*(with_backward(noise, f, u_f, q_f) for f, u_f, q_f in columns))
 
     def back(noisy_bar):
@@ -177,8 +180,11 @@ def rate(noisy, ctx, grids, mask, design):
     def back(L_rate_bar):
         rates_bar = back_rates(L_rate_bar=L_rate_bar)
         grids_bar = back_hash(rates_bar["R_hash"])["grids"]
-        parts = back_anchor(rates_bar["R_anchor"])
-        bars = back_bits(concatenate_groups(*(parts[f"bits_{group}"] for group in GROUPS)))
+        of_anchors = back_anchor(rates_bar["R_anchor"])
+        bits_a_bar = concatenate_groups(
+            of_anchors["bits_f"], of_anchors["bits_s"], of_anchors["bits_l"], of_anchors["bits_O"]
+        )
+        bars = back_bits(bits_a_bar)
         group_starts = np.cumsum((0, *design.widths[:-1]))
         q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
         return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar

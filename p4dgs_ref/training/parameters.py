@@ -1,5 +1,6 @@
 """Named arrays that share one flat vector, Adam, which moves them all at once, and its schedule."""
 
+from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -14,34 +15,29 @@ class Parameters:
     The arrays of a network are named "psi.W0", "psi.b0", "psi.W1" and so on.
     """
 
-    def __init__(self, arrays, dtype: DTypeLike = np.float32, vector=None):
-        parts = [np.asarray(a) for a in arrays.values()]
-        if vector is None:  # otherwise it has the values, and `arrays` the names and shapes
-            vector = np.concatenate([part.ravel() for part in parts]).astype(dtype)
-        self.vector, self.arrays, start = vector, {}, 0
-        for name, part in zip(arrays, parts):
-            self.arrays[name] = self.vector[start : start + part.size].reshape(part.shape)
-            start += part.size
+    def __init__(self, arrays, dtype: DTypeLike = np.float32):
+        self.vector = np.concatenate([np.ravel(a) for a in arrays.values()]).astype(dtype)
+        self.arrays, start = {}, 0
+        for name, a in arrays.items():
+            end = start + np.size(a)
+            self.arrays[name] = self.vector[start:end].reshape(np.shape(a))
+            start = end
 
     def __getitem__(self, name):
         return self.arrays[name]
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        return Parameters(self.arrays, vector=np.zeros_like(self.vector))
+        zeros = {name: np.zeros_like(array) for name, array in self.arrays.items()}
+        return Parameters(zeros, self.vector.dtype)
 
-    def numbered(self, prefix):
-        """The arrays whose names are the prefix and 0, 1 and so on."""
-        count = sum(name.startswith(prefix) for name in self.arrays)
-        return [self[f"{prefix}{i}"] for i in range(count)]
+    def listed(self, prefix):
+        """The arrays whose names begin with the prefix, in their order."""
+        return [array for name, array in self.arrays.items() if name.startswith(prefix)]
 
     def network(self, name):
         """The weights and the biases of a network, layer by layer."""
-        return self.numbered(f"{name}.W"), self.numbered(f"{name}.b")
-
-    def listed(self, name):
-        """The arrays "name.0", "name.1" and so on."""
-        return self.numbered(f"{name}.")
+        return self.listed(f"{name}.W"), self.listed(f"{name}.b")
 
     def fill(self, name, gradients):
         """Copy the "weights" and "biases" among the gradients of a network into place."""
@@ -109,12 +105,13 @@ class Adam:
         parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(corrected)
 
 
+@lru_cache
 def exponential(step, first, last, until, start=0):
     """The learning rate at `step`: geometric between `first` at `start` and `last` at `until`.
 
     This is the schedule of Kerbl et al. 2023 without its warm-up, which no successor uses.
     """
-    if first == last or first == 0:
+    if first == last:
         return first
-    share = min(max((step - start) / max(until - start, 1), 0.0), 1.0)
+    share = np.clip((step - start) / max(until - start, 1), 0, 1)
     return float(np.exp((1 - share) * np.log(first) + share * np.log(last)))

@@ -43,7 +43,7 @@ class Progress:
         line = (
             f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
             f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
-            f"{losses.L_rate:.2f} bits/parameter  {counts[0]} {trainer.UNIT}  "
+            f"{losses.L_rate:.2f} bits/parameter  {counts[0]} anchors  "
             f"{counts[1]} Gaussians  {ms:.1f} ms/step"
         )
         if self.live:

@@ -4,11 +4,11 @@ A random view, its loss and gradients, a check for NaN, a step of Adam, and dens
 trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
 """
 
-from functools import cache
+from copy import copy
+from functools import lru_cache
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES, ROWS
 from ..equations import hash_grid, ssim
 from ..model import Anchors, Model, bounding_box, snap, split
 from ..splatting.settings import FAST
@@ -22,7 +22,10 @@ MAX_MOMENT_BYTES = 2**28
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
 LEARNING_RATES = {
     "x_a": "lr_x",
-    **{row.parameter: row.learning_rate for row in ATTRIBUTES},
+    "f_a": "lr_f",
+    "log_s": "lr_s",
+    "log_l": "lr_l",
+    "O_a": "lr_O",
     "psi_alpha": "lr_alpha",
     "psi_c": "lr_c",
     "psi_r": "lr_r",
@@ -51,28 +54,25 @@ def assemble(p, design, mask, box, background):
     )
 
 
-def tagged(arrays, tag):
-    """Copies of the arrays whose names begin with the tag and a slash, without these."""
+def tagged(named, tag):
+    """Copies of the values whose names begin with the tag, by the rest of their names."""
     return {
-        name[len(tag) + 1 :]: a.copy() for name, a in arrays.items() if name.startswith(f"{tag}/")
+        name.removeprefix(tag): copy(value) for name, value in named.items() if name.startswith(tag)
     }
 
 
 class Trainer:
-    """Fits one scene: `step()` does one iteration, `model()` returns the model so far.
-
-    A training of another kind is a subclass that overrides whole methods.
-    """
-
-    UNIT = "anchors"  # what a model stores
+    """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
         self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
         self.rng = np.random.default_rng(seed)
         self.iteration = 0
-        self.order = np.zeros(0, np.int64)  # the views still to be visited, last first
+        self.order = []  # the views still to be visited, last first
         self.history = []  # rows of training.csv
-        self.moments = {}  # by view, as long as they fit into MAX_MOMENT_BYTES bytes
+        # The moments of the truth for SSIM, four float64 images, are the same at every visit.
+        kept = MAX_MOMENT_BYTES // (32 * scene.train[0].image.size)
+        self.moments_of = lru_cache(kept)(lambda view: ssim.moments(view.image))
         self.begin(scene.points if points is None else points)
 
     def begin(self, points):
@@ -106,7 +106,7 @@ class Trainer:
         return self.preset.stage(self.iteration)
 
     def run(self, report=None):
-        """Train to the end and return the model.
+        """Train to the end, without checkpoints, and return the model.
 
         `report(trainer, losses, rendered, view)` is called after each step.
         """
@@ -116,6 +116,7 @@ class Trainer:
                 report(self, *results)
         return self.model()
 
+    @np.errstate(all="ignore")  # NotFinite names what NumPy would warn of
     def step(self):
         """Do one iteration; returns its Losses, what was Rendered, and the View.
 
@@ -123,11 +124,10 @@ class Trainer:
         """
         view, p = self.next_view(), self.parameters
         losses, rendered, gradients, mean2d_bar = self.gradients_of(view)
-        rate_of = cache(self.rate_of)  # all arrays of a network have the same rate
-        self.adam.step(p, gradients, lambda name: rate_of(name.split(".")[0]))
+        self.adam.step(p, gradients, lambda name: self.rate_of(name.split(".")[0]))
         if not np.isfinite(p.vector).all():
-            phrase = first_bad(p.arrays, "after Adam's step, parameter ")
-            raise NotFinite(f"iteration {self.iteration}: {phrase}")
+            bad = first_bad(p.arrays)
+            raise NotFinite(f"iteration {self.iteration}: after Adam's step, parameter {bad}")
         if self.iteration >= self.preset.collect_from:
             self.statistics.collect(rendered, mean2d_bar, view.camera.width, view.camera.height)
         self.iteration += 1
@@ -137,22 +137,9 @@ class Trainer:
 
     def next_view(self):
         """A random view; no view comes again before all others have been visited."""
-        if not len(self.order):
-            self.order = self.rng.permutation(len(self.scene.train))
-        index, self.order = self.order[-1], self.order[:-1]
-        return self.scene.train[index]
-
-    def moments_of(self, view):
-        """The moments of the truth for SSIM, which are the same at every visit.
-
-        They are four float64 images, computed anew where other views have filled MAX_MOMENT_BYTES.
-        """
-        if id(view) in self.moments:
-            return self.moments[id(view)]
-        moments = ssim.moments(view.image)
-        if 32 * view.image.size * (len(self.moments) + 1) <= MAX_MOMENT_BYTES:
-            self.moments[id(view)] = moments
-        return moments
+        if not self.order:
+            self.order = self.rng.permutation(len(self.scene.train)).tolist()
+        return self.scene.train[self.order.pop()]
 
     def rate_of(self, name):
         """The current learning rate of a name of `learning_rates`; 0 where the stage has none."""
@@ -165,8 +152,8 @@ class Trainer:
             self.preset.decay_from,
         )
 
-    def step_inputs(self, view):
-        """The StepInputs of the next iteration, which visits this view."""
+    def step_inputs(self):
+        """The StepInputs of the next iteration."""
         return objective.StepInputs(
             mask=self.mask,
             located=self.located,
@@ -190,7 +177,7 @@ class Trainer:
             self.design,
             self.networks,
             self.grids,
-            self.step_inputs(view),
+            self.step_inputs(),
             view,
             u,
             self.moments_of(view),
@@ -200,7 +187,7 @@ class Trainer:
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, rendered.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(f"iteration {self.iteration}: {find_first(objective.loss, inputs)}")
+            raise NotFinite(f"iteration {self.iteration}: {find_first(inputs)}")
         return losses, rendered, gradients, mean2d_bar
 
     def freeze_positions(self):
@@ -251,11 +238,11 @@ class Trainer:
 
         The last anchor is never dropped.
         """
-        added = added or {name: self.parameters[name][:0] for name in ROWS}
+        added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
         if not keep.any() and not count:
             keep = np.arange(len(keep)) == 0
-        self.change_rows(ROWS, keep, added)
+        self.change_rows(density.ROWS, keep, added)
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)
         if self.box:
@@ -274,22 +261,23 @@ class Trainer:
             "stat": vars(self.statistics),
         }
         arrays = {f"{tag}/{name}": a for tag, group in groups.items() for name, a in group.items()}
-        arrays.update(mask=self.mask, order=self.order, box=np.array(self.box))
+        arrays.update(mask=self.mask, box=np.array(self.box))
         return arrays, {
             "iteration": self.iteration,
             "steps": self.adam.steps,
             "rng": self.rng.bit_generator.state,
-            "history": self.history,
+            "order": [*self.order],
+            "history": [*self.history],
         }
 
     def restore(self, arrays, values):
         """Take over copies of what `state` returned."""
-        self.adopt(Parameters(tagged(arrays, "p")))
-        self.adam.first = Parameters(tagged(arrays, "m"))
-        self.adam.second = Parameters(tagged(arrays, "v"))
+        self.adopt(Parameters(tagged(arrays, "p/")))
+        self.adam.first = Parameters(tagged(arrays, "m/"))
+        self.adam.second = Parameters(tagged(arrays, "v/"))
         self.adam.steps = {**values["steps"]}
-        self.statistics = density.Statistics(**tagged(arrays, "stat"))
-        self.order, self.iteration = arrays["order"], values["iteration"]
+        self.statistics = density.Statistics(**tagged(arrays, "stat/"))
+        self.order, self.iteration = [*values["order"]], values["iteration"]
         self.rng.bit_generator.state, self.history = values["rng"], [*values["history"]]
         self.mask, self.box = arrays["mask"].copy(), tuple(arrays["box"])
         if self.box:

@@ -6,12 +6,12 @@ again to name the equation, array and index that was the first to be NaN or infi
 
 import sys
 from contextlib import contextmanager
-from importlib import import_module
 
 import numpy as np
 
 from ..splatting import fast
 from ..table import EQUATIONS
+from . import objective
 
 
 def equation_codes():
@@ -19,11 +19,9 @@ def equation_codes():
 
     The fast renderer has the key "compositing, fast".
     """
-    modules = {key: import_module(eq.module) for key, eq in EQUATIONS.items()}
-    modules["compositing, fast"] = fast
     return {
         getattr(module, name).__code__: (key, name)
-        for key, module in modules.items()
+        for key, module in {**EQUATIONS, "compositing, fast": fast}.items()
         for name in ("forward", "backward")
     }
 
@@ -69,11 +67,8 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(loss, inputs):
-    """A phrase that names where an iteration, `loss(*inputs)`, first stops being finite.
-
-    The first of the inputs are the Parameters.
-    """
+def find_first(inputs):
+    """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
@@ -91,7 +86,7 @@ def find_first(loss, inputs):
             phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
 
     with np.errstate(all="ignore"), watching(equation_codes(), see):
-        losses, _, back = loss(*inputs)
+        losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [
         first_bad(losses._asdict(), "objective: "),

@@ -18,11 +18,10 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref import limits
 from p4dgs_ref.cli.parser import parser
-from p4dgs_ref.designs import fit
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import write_ply
-from p4dgs_ref.training.fit import load_checkpoint
+from p4dgs_ref.training.fit import fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
 from tests.sampling import few
@@ -95,7 +94,6 @@ READING = (
     "train {} -o new/run --preset smoke --quiet",
     "evaluate good.p4dgs {} -o out",
     "render good.p4dgs -o out --scene {}",
-    "export-ply good.p4dgs --scene {}",
 )
 SCENES = [
     (
@@ -331,15 +329,7 @@ LINES = [
     ("render good.p4dgs -o scene/still.gif --scene scene", ("still.gif: this is the input",)),
     ("render good.p4dgs -o folder.gif --frames 1", ("folder.gif: ", "found a folder")),
     ("render good.p4dgs -o still.png --frames 1", ("still.png: ", "ends in .gif")),
-    ("render scene.ply -o new", ("scene.ply: ", "expected a .p4dgs file, or a .ply")),
-    (
-        "export-ply good.p4dgs --camera 0",
-        ("--camera without --scene: good: no such folder",),
-    ),
-    (
-        "export-ply run.p4dgs --camera 0",
-        ("--camera without --scene: run/transforms_train.json",),
-    ),
+    ("render scene.ply -o new", ("scene.ply: ", "container")),
     ("simulate nowhere.json -o new", ("nowhere.json",)),
     ("simulate text -o new", ("text", "JSON")),
     (
@@ -350,12 +340,6 @@ LINES = [
     ("accuracy --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("effects scene --suggest -o new", ("-o new", "expected without --suggest")),
-    ("compare scene --point 0/2 -o new", ("--point", "together with --curve")),
-    ("compare scene --collect -o new", ("--collect", "together with --curve")),
-    ("compare scene --curve --point 0/2 --collect -o new", ("--collect", "without --point")),
-    ("compare scene --curve --point 2/2 -o new", ("--point", "I/N", "2/2")),
-    ("compare scene --curve --collect -o new", ("expected the rows of p4dgs lambda_rate=0.01",)),
-    ("inspect good.p4dgs --heat", ("--heat", "-o FOLDER")),
     ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
     ("encode run -o text", ("text: ", "another kind")),
     ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
@@ -363,12 +347,6 @@ LINES = [
     ("export-ply good.p4dgs -o text", ("text: ", "another kind")),
     ("export-ply good.p4dgs -o .", (".: expected a regular file",)),
     ("export-ply good.p4dgs --time 1.5", ("--time",)),
-    ("export-ply good.p4dgs --camera -1", ("--camera",)),
-    (
-        "export-ply good.p4dgs --camera 2 --scene scene",
-        ("--camera 2: expected one of the views 0 ... 1",),
-    ),
-    ("export-ply good.p4dgs --scene nowhere", ("nowhere: no such folder",)),
     ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: this is the input",)),
     ("effects static --suggest --apply --jobs 1", ("packaged",)),
     ("render good.p4dgs -o text.gif", ("text.gif: ", "another kind")),
@@ -380,17 +358,6 @@ LINES = [
     ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --only speed", ("--only speed", "renderer")),
     ("stability --only H-R", ("--only H-R", "H-R1")),
-    ("ablate nowhere -o out", ("nowhere", "packaged")),
-    ("ablate bouncing --iterations 3 -o out", ("--iterations", "'3'")),
-    ("ablate bouncing -o text/out", ("text/out", "folder that can be written")),
-    ("compare --method nerf -o out", ("method 'nerf'", "p4dgs, p4dgs_coded, d3dgs")),
-    ("compare --curve --method nerf -o out", ("method 'nerf'",)),
-    ("compare nowhere -o out", ("nowhere", "packaged")),
-    ("compare --iterations 0 -o out", ("--iterations", "'0'")),
-    ("compare --seeds 0 -o out", ("--seeds", "'0'")),
-    (f"compare --iterations {'9' * 20} -o out", ("--iterations", "9'")),
-    (f"ablate bouncing --iterations {'9' * 5000} -o out", ("--iterations", "9'")),
-    ("compare bouncing -o text", ("text", "folder that can be written")),
 ]
 
 
@@ -404,7 +371,6 @@ def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, word
 LARGE = {
     "train bouncing -o new --preset smoke --points x.ply": ("x.ply", limits.MAX_FILE_BYTES),
     "train bouncing -o new --preset smoke --points x.npy": ("x.npy", limits.MAX_FILE_BYTES),
-    "render x.ply -o new": ("x.ply", limits.MAX_FILE_BYTES),
     "encode . -o new": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
     "train bouncing -o . --preset smoke --resume": ("checkpoint.npz", limits.MAX_CHECKPOINT_BYTES),
     "demo . -o new": ("transforms_train.json", limits.MAX_JSON_BYTES),
@@ -440,7 +406,7 @@ def test_no_test_views():
 
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
-    monkeypatch.setattr("p4dgs_ref.designs.fit", partial(fit, save_every=0))
+    monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
 
     def failed(line):
         code, _, err = run(f"{line} --preset smoke --quiet")
@@ -474,7 +440,7 @@ def test_out_of_memory(place, run, monkeypatch):
     def full(*arguments):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.designs.trainer_of", full)
+    monkeypatch.setattr("p4dgs_ref.cli.job.Trainer", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")
@@ -543,7 +509,6 @@ FULL = {
     "inspect good.p4dgs -o out": "out/sections.png",
     "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
     "view good.p4dgs -o out/x.html": "out/x.html",
-    "compare scene --seeds 1 --iterations 4 --jobs 1 -o out": "_4/scene_p4dgs_seed0.p4dgs",
 }
 
 

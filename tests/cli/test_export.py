@@ -1,9 +1,10 @@
-"""`export-ply`: the picture of the model from the frozen view, and the header."""
+"""`export-ply`: the picture of the model as the held camera sees it, and the header."""
 
 import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref.report import figures
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.settings import EXACT
 from tests.codec.models import read_gaussians
@@ -33,37 +34,33 @@ def same_picture(path, model, camera, t):
     np.testing.assert_allclose(drawn, model.render(camera, t, EXACT), atol=2e-5, rtol=1e-5)
 
 
-def test_the_file_shows_what_the_view_shows(place, run):
+def test_the_file_shows_what_the_camera_sees(place, run):
     model = p4.decode((place / "bouncing.p4dgs").read_bytes())
-    test = p4.load_scene("bouncing").test
-    code, out, err = run("export-ply bouncing.p4dgs --time 0.3 --camera 4")
-    assert (code, err) == (0, "") and "bouncing.ply" in out and "test/r_004 of bouncing" in out
-    same_picture(place / "bouncing.ply", model, test[4].camera, 0.3)
-    for view, t in ((4, 0.9), (7, 0.3)):  # of another time; colours of another view
+    camera = figures.held_camera(model)
+    code, out, err = run("export-ply bouncing.p4dgs --time 0.3")
+    count = len(read_gaussians(place / "bouncing.ply").x)
+    assert (code, out, err) == (0, f"bouncing.ply: {count} Gaussians\n", "")
+    same_picture(place / "bouncing.ply", model, camera, 0.3)
+    other = p4.load_scene("bouncing").test[7].camera
+    for view, t in ((camera, 0.9), (other, 0.3)):  # another time; colours of another view
         with pytest.raises(AssertionError):
-            same_picture(place / "bouncing.ply", model, test[view].camera, t)
-    code, out, _ = run("export-ply bouncing.p4dgs --time 1 --scene bouncing -o deep/x.ply")
-    count = len(read_gaussians(place / "deep/x.ply").x)
-    assert (code, out) == (
-        0,
-        f"deep/x.ply: {count} Gaussians, frozen for view test/r_000 of bouncing\n",
-    )
-    same_picture(place / "deep/x.ply", model, test[0].camera, 1.0)
+            same_picture(place / "bouncing.ply", model, view, t)
+    assert run("export-ply bouncing.p4dgs --time 1 -o deep/x.ply")[0] == 0
+    same_picture(place / "deep/x.ply", model, camera, 1.0)
 
 
 def test_the_header_says_what_was_frozen(place, run):
-    assert run("export-ply bouncing.p4dgs --time 0.25 --camera 4")[0] == 0
-    scene = p4.load_scene("bouncing")
-    effects, (x, y, z) = scene.effects, scene.test[4].camera.center
+    assert run("export-ply bouncing.p4dgs --time 0.25")[0] == 0
+    model = p4.decode((place / "bouncing.p4dgs").read_bytes())
+    x, y, z = figures.held_camera(model).center
     assert comments(place / "bouncing.ply") == [
         "comment bouncing, a P-4DGS model, frozen at time 0.25",
-        f"comment frozen view: view test/r_004 of bouncing, camera at {x:.4g} {y:.4g} {z:.4g}",
+        f"comment colours as seen from {x:.4g} {y:.4g} {z:.4g}",
         "comment background of the model: 1 1 1",
-        f"comment effects of the model: {' '.join(effects)}",
+        f"comment effects of the model: {' '.join(model.design.effects)}",
     ]
     assert run("export-ply sum.p4dgs -o sum.ply")[0] == 0
     assert comments(place / "sum.ply")[2:] == [
         "comment background of the model: 0 0 0",
         "comment effects of the model: none",
     ]
-    assert comments(place / "sum.ply")[0].endswith("frozen at time 0")

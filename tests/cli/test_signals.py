@@ -1,10 +1,6 @@
-"""Ctrl-C, SIGTERM, SIGHUP: one line, exit code 130, no half-written file, whenever they come.
-
-Workers end with their parent, and where one is killed its parent says so.
-"""
+"""Ctrl-C, SIGTERM, SIGHUP: one line, exit code 130, no half-written file, whenever they come."""
 
 import itertools
-import os
 import signal
 import threading
 import time
@@ -13,11 +9,10 @@ import pytest
 
 from p4dgs_ref.signals import deferred, handled, interrupt
 from tests import ROOT
-from tests.processes import busy, start, wait_until_gone, workers
+from tests.processes import start
 from tests.sampling import few
 
 NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "HUP": signal.SIGHUP}
-SIGNALS = pytest.mark.parametrize("name", NUMBERS)
 # Before the import of a module, say so and wait, as a slow disk would.
 SLOW = """
 import sys, time
@@ -61,15 +56,10 @@ LOST = "; nothing is kept, because all files are written at the end"
 SAID = {  # of a command that was stopped
     "train": KEPT,
     "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
-    **dict.fromkeys(
-        ("accuracy", "effects", "compare"),
-        "; the trainings that are done are kept, the same command makes the others",
-    ),
 }
 # Commands, and the file that is there when they are at work.
 LINES = {
     RUN: "run/checkpoint.npz",
-    "compare bouncing --seeds 1 -o out": "out/.p4dgs-part-*",
     "render {files}/bouncing.p4dgs -o out --frames 10000 --size 64": "out/.p4dgs-part-*/t_002.png",
     "demo bouncing -o out": "out/.p4dgs-part-*",
     "evaluate {files}/bouncing.p4dgs bouncing -o out": "out/.p4dgs-part-*",
@@ -99,72 +89,6 @@ def test_long_commands_stop_cleanly(tmp_path, files, line, name):
     assert err.endswith(f"p4dgs-ref: stopped{said}\n") and "Traceback" not in err
     left = [path.name for path in tmp_path.rglob("*")]
     assert left == (["run", "checkpoint.npz"] if line == RUN else [])
-
-
-# The signal arrives when a worker exists, but has not read yet what it is to do.
-AT_BIRTH = """
-import signal, sys
-from multiprocessing import util
-spawn = util.spawnv_passfds
-def at_birth(path, words, *rest):
-    child = spawn(path, words, *rest)
-    if "spawn_main" in str(words):
-        signal.raise_signal(signal.{name})
-    return child
-util.spawnv_passfds = at_birth
-"""
-
-
-@pytest.mark.slow
-@SIGNALS
-def test_while_a_worker_starts(tmp_path, name):
-    """The main job starts one; it is interrupted itself, not by `stop`."""
-    argv = ["demo", "bouncing", "-o", "out", "--quiet", "--jobs", "2"]
-    code = AT_BIRTH.format(name=f"SIG{name}") + CONSOLE_SCRIPT.format(argv=argv)
-    process = start("-c", code, cwd=tmp_path)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130 and err == f"p4dgs-ref: stopped{SAID['demo']}\n"
-    assert not list(tmp_path.iterdir())
-
-
-STUDY = "compare bouncing --seeds 1 -o out --jobs 2"
-CODED = "--set is_coded=true --set network_ramp=10 --set lr_step=0.02,0.002"
-DEMO = f"demo bouncing -o out --jobs 2 --quiet --preset smoke {CODED}"
-
-
-@pytest.mark.slow
-def test_workers_end_with_a_parent_that_is_killed(tmp_path):
-    process = at_work(STUDY, tmp_path, "out/.p4dgs-part-*")
-    pids = workers(process.pid, 2)
-    process.kill()
-    wait_until_gone(pids, 10)
-    process.communicate()  # reads to the end of what the workers write to, too
-
-
-KILLED = (
-    "a worker process was killed, probably because memory ran out; --jobs 1 (jobs=1) needs the "
-    "least"
-)
-
-
-@pytest.mark.slow
-def test_a_killed_worker_is_one_line(tmp_path):
-    process = at_work(STUDY, tmp_path, "out/.p4dgs-part-*")
-    os.kill(busy(workers(process.pid, 2))[0], signal.SIGKILL)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 1 and "Traceback" not in err
-    assert err.endswith(f"\np4dgs-ref: {KILLED}{SAID['compare']}\n")
-
-
-@pytest.mark.slow
-def test_the_demo_goes_on_without_its_worker(tmp_path):
-    process = at_work(DEMO, tmp_path, "out/.p4dgs-part-*")
-    os.kill(*workers(process.pid, 1), signal.SIGKILL)
-    _, err = process.communicate(timeout=60)
-    first, *lost = err.splitlines()
-    again = f"p4dgs-ref: warning: {KILLED}; this process trains the paper's design again"
-    assert process.returncode == 0 and first == again and "what moves is lost" in lost[0]
-    assert len([*tmp_path.glob("out/*.p4dgs")]) == 2
 
 
 def test_handlers_are_put_back_and_others_are_left_alone():

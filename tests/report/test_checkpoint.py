@@ -16,13 +16,13 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.designs import choose, fit, load_model
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
-from p4dgs_ref.training.fit import CHECKPOINT, RunError, load_checkpoint
+from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
 from p4dgs_ref.training.parameters import Adam
+from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 from tests.processes import start
 from tests.sampling import few
@@ -242,16 +242,7 @@ def scene():
     return p4.load_scene("bouncing", downscale=4)
 
 
-CODED = {
-    **LIVELY,
-    "is_coded": True,
-    "position_bits": 10,
-    "network_ramp": 9,
-    "lr_step": (0.02, 0.01),
-    "body": True,
-    "min_opacity": 0.15,
-}
-KINDS = {"coded": CODED, "reseed": LIVELY, "scaffold": SCAFFOLD}
+KINDS = {"reseed": LIVELY, "scaffold": SCAFFOLD}
 
 
 @pytest.fixture(scope="module", params=few(KINDS, 1))
@@ -332,9 +323,9 @@ import sys
 from functools import partial
 from p4dgs_ref import prepare
 prepare()
-from p4dgs_ref import designs
 from p4dgs_ref.__main__ import main
-designs.fit = partial(designs.fit, save_every=0)
+from p4dgs_ref.cli import job
+job.fit = partial(job.fit, save_every=0)
 sys.exit(main())
 """
 

@@ -9,13 +9,13 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.codec import container, file, published
 from p4dgs_ref.codec.__main__ import page
-from p4dgs_ref.codec.container import SECTIONS
+from p4dgs_ref.codec.container import SECTIONS, layout, read_container
+from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import lookup_table
-from p4dgs_ref.designs import layout, quantised_of, read_container
 from p4dgs_ref.equations import grid_nodes
 from p4dgs_ref.report.inspect import anchor_bits, ledger, symbol_bits
 from tests import processes
-from tests.codec.models import MAKE, coded
+from tests.codec.models import MAKE
 
 
 @pytest.fixture(scope="module")
@@ -23,10 +23,10 @@ def data(trained):
     return trained.data
 
 
-@pytest.fixture(scope="module", params=[*MAKE, "coded"])
+@pytest.fixture(scope="module", params=[*MAKE])
 def anything(request):
-    """A file of every kind of model; the last is one of version 2."""
-    return p4.encode({**MAKE, "coded": coded}[request.param]())
+    """A file of every kind of model."""
+    return p4.encode(MAKE[request.param]())
 
 
 def test_every_byte_is_accounted_for_and_gaps_are_small(anything):
@@ -49,7 +49,7 @@ def test_anchor_bits_add_up_to_the_cost_of_all_anchors(data):
     parts = ("positions", "features", "scales", "offset_scales", "offsets", "masks")
     total = sum(rows[name]["integer_bytes"] for name in parts)
     assert bits.sum() / 8 == pytest.approx(total, rel=1e-4)
-    q = quantised_of(data)
+    q = quantised_of(read_container(data))
     assert symbol_bits(q).shape == q.symbols.shape
     assert not symbol_bits(q)[~q.kept].any()
 
@@ -96,8 +96,7 @@ def test_python_m_codec_prints_the_page():
     assert processes.run("-m", "p4dgs_ref.codec").stdout == page()
 
 
-@pytest.mark.parametrize("room", ["codec", "beyond"])
-def test_a_page_of_docstrings_needs_docstrings(room):
-    printed = processes.run("-OO", "-m", f"p4dgs_ref.{room}")
+def test_a_page_of_docstrings_needs_docstrings():
+    printed = processes.run("-OO", "-m", "p4dgs_ref.codec")
     assert (printed.returncode, printed.stdout, printed.stderr.count("\n")) == (2, "", 1)
-    assert printed.stderr.startswith(f"p4dgs_ref.{room}: ") and "-OO" in printed.stderr
+    assert printed.stderr.startswith("p4dgs_ref.codec: ") and "-OO" in printed.stderr

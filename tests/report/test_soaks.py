@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.designs import choose, decode, encode
+from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 from tests.golden.both import quantise
 from tests.sampling import few

@@ -1,0 +1,61 @@
+"""Calls in two processes give the results of one, and no process is left behind."""
+
+import multiprocessing
+import os
+import time
+import warnings
+
+import pytest
+
+from p4dgs_ref.lab.processes import in_processes
+from p4dgs_ref.training.watch import NotFinite
+from tests import processes
+
+
+def place(seconds):
+    """A task that takes some time and says where it ran."""
+    time.sleep(seconds)
+    return seconds, os.getpid()
+
+
+def explode(task):
+    raise NotFinite(f"iteration {task}: f_a[3, 1] is nan")
+
+
+def mutter(task):
+    warnings.warn(f"task {task} is poor", stacklevel=1)
+    return task
+
+
+@pytest.mark.slow
+def test_warnings_of_workers_are_given_by_this_process():
+    with pytest.warns(UserWarning, match="is poor") as given:
+        assert list(in_processes(mutter, [1, 2], 2)) == [1, 2]
+    assert [str(one.message) for one in given] == ["task 1 is poor", "task 2 is poor"]
+
+
+UNGUARDED = """
+from p4dgs_ref.lab.processes import in_processes
+print(list(in_processes(abs, [1, 2], 2)))
+"""
+
+
+@pytest.mark.slow
+def test_a_script_that_a_worker_would_run_again_is_told_so(tmp_path):
+    (tmp_path / "script.py").write_text(UNGUARDED, encoding="utf-8")
+    lines = processes.run(tmp_path / "script.py").stderr.splitlines()
+    assert lines[0].startswith("Traceback") and "__main__" in lines[-1] and len(lines) < 15
+    assert lines[-1].startswith("ChildProcessError: a worker process ran the script")
+
+
+@pytest.mark.slow
+def test_no_process_is_left_behind():
+    before = set(multiprocessing.active_children())
+    results, start = in_processes(place, [0.0, 300.0, 300.0], 2), time.monotonic()
+    assert next(results)[0] == 0.0
+    assert set(multiprocessing.active_children()) - before
+    results.close()  # as Ctrl-C does
+    with pytest.raises(NotFinite, match=r"^iteration 7: f_a\[3, 1\] is nan$"):
+        list(in_processes(explode, [7, 8], 2))
+    assert set(multiprocessing.active_children()) <= before
+    assert time.monotonic() - start < 150
