@@ -130,7 +130,7 @@ for end in ends:
         # We look after two steps, because in the very first one all offsets are 0, and so is
         # the gradient of log_l.
         if step == 1:
-            on = trainer.step_inputs(view)._replace(mask=trainer.mask.copy())
+            on = trainer.step_inputs()._replace(mask=trainer.mask.copy())
             exact_copy = Parameters(trainer.parameters.arrays, np.float64)
             saved.append((stage, exact_copy, on))
             moved.append(arrays_that_moved(before))

@@ -79,7 +79,7 @@ assert trainer.stage == 4
 
 design = trainer.design
 view = trainer.next_view()
-inputs = trainer.step_inputs(view)._replace(settings=SETTINGS["exact"])
+inputs = trainer.step_inputs()._replace(settings=SETTINGS["exact"])
 truth = view.image.astype(float)
 p = Parameters(trainer.parameters.arrays, np.float64)
 networks = {name: p.network(name) for name in design.layers()}

@@ -17,7 +17,8 @@ from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.files import write_image
 from ..scenes.load import find_scene, read_points_for, read_scene_json
-from ..training.fit import CHECKPOINT, GO_ON, doubts, fit, load_model, lost
+from ..training import advice
+from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
 from ..training.presets import choose
 from ..training.trainer import Trainer
 from . import UsageError, caution, progress, require, say, show, tell, text
@@ -112,14 +113,14 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        absent(Path(arguments.output) / CHECKPOINT, GO_ON)
+        absent(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, [(Trainer(scene, preset), 1)])
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
             "no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
         )
-    for sentence in doubts(scene, preset, arguments.seed):
+    for sentence in advice.before(scene, preset, arguments.seed):
         caution(sentence)
     with made(arguments.output) as folder:
         trainer, seconds = timed(
@@ -133,7 +134,7 @@ def train(arguments):
         )
         with filled(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    caution(lost(trainer))
+    caution(advice.after(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
 
 

@@ -1,6 +1,7 @@
 """How good a model is on test views, and how fast it renders them ("Measures" in reference.md)."""
 
 import time
+import warnings
 
 import numpy as np
 
@@ -8,7 +9,6 @@ from ..equations import ssim
 from ..model import Model
 from ..scenes.scene import Scene
 from ..splatting.settings import FAST, Settings
-from ..training.fit import warn
 from ..training.progress import psnr
 from .inspect import components
 
@@ -54,9 +54,10 @@ def evaluate(
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
     if np.abs(model.background - scene.background).max() > 1 / 255:
         theirs, ours = ("{:.3g} {:.3g} {:.3g}".format(*of.background) for of in (model, scene))
-        warn(
+        warnings.warn(
             f"the file has the background {theirs}, scene {scene.name} {ours}; expected equal "
-            "ones, by load_scene(..., background=...) or the effect `background` in scene.json"
+            "ones, by load_scene(..., background=...) or the effect `background` in scene.json",
+            stacklevel=2,
         )
     images, seconds = map(
         list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))

@@ -2,6 +2,7 @@
 
 import json
 import time
+import warnings
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -9,7 +10,8 @@ from ..arithmetic import arithmetic
 from ..codec.file import decode, encode
 from ..output import absent, filled
 from ..scenes.scene import Scene
-from ..training.fit import doubts, fit, lost, warn
+from ..training import advice
+from ..training.fit import fit
 from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import compression, evaluate, json_safe, timed
@@ -37,14 +39,14 @@ def main_job(
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
             absent(Path(folder) / file)
-        for sentence in doubts(scene, preset, seed):
-            warn(sentence)
+        for sentence in advice.before(scene, preset, seed):
+            warnings.warn(sentence, stacklevel=2)
         trainer, seconds = timed(fit, scene, preset, seed, stream=stream)
         data, encode_seconds = timed(encode, trainer.model())
         path.write_bytes(data)
         model, decode_seconds = timed(decode, path.read_bytes())
         measures, rows, images = evaluate(model, scene)
-        warning = lost(trainer)
+        warning = advice.after(trainer)
         metrics = {
             "scene": scene.name,
             "preset": preset.name,
@@ -66,7 +68,8 @@ def main_job(
         figures.write_motion(staging / "motion.gif", model, scene.test[0].camera)
         figures.write_size(staging, preset.name, metrics)
         figures.write_training(staging, trainer.history, preset.stage_ends)
-        warn(warning)
+        if warning:
+            warnings.warn(warning, stacklevel=2)
         metrics["seconds"] = time.perf_counter() - start
         (staging / "metrics.json").write_text(
             json.dumps(json_safe(metrics), indent=1) + "\n", encoding="utf-8"

@@ -25,11 +25,12 @@ class Statistics:
         """The statistics of A anchors with k children before the first view."""
         return cls(np.zeros(A), *np.zeros((3, A, k)))
 
-    def collect(self, rendered, mean2d_bar, width, height):
+    def collect(self, rendered, mean2d_bar, camera):
         """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
         self.visits += 1
         self.opacity += np.maximum(rendered.alpha, 0)
-        length = np.hypot(mean2d_bar[:, 0] * width / 2, mean2d_bar[:, 1] * height / 2)
+        x_bar, y_bar = mean2d_bar.T
+        length = np.hypot(x_bar * camera.width / 2, y_bar * camera.height / 2)
         rows = rendered.index[rendered.visible]
         self.gradient.reshape(-1)[rows] += length[rendered.visible]
         self.seen.reshape(-1)[rows] += 1
@@ -40,13 +41,8 @@ class Statistics:
         This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
         """
         children, anchors = often_seen(self, preset), often_visited(self, preset)
-        for sums, judged in (
-            (self.gradient, children),
-            (self.seen, children),
-            (self.opacity, anchors),
-            (self.visits, anchors),
-        ):
-            sums[judged] = 0
+        self.gradient[children] = self.seen[children] = 0
+        self.opacity[anchors] = self.visits[anchors] = 0
 
     def with_rows(self, keep, count):
         """The statistics of the anchors that are kept, and of `count` new ones after them."""
@@ -74,33 +70,27 @@ def grow(p, statistics, preset, rng):
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
-    eligible = often_seen(statistics, preset).ravel()
     parents = np.repeat(p["f_a"], p["O_a"].shape[1], axis=0)
-    taken, features, sizes = [p["x_a"][:0]], [p["f_a"][:0]], [np.zeros(0)]
+    x_a, f_a, log_size = p["x_a"][:0], p["f_a"][:0], np.zeros((0, 3))
     for level in range(preset.grow_depth):
         threshold = preset.gradient_threshold * (preset.grow_hierarchy // 2) ** level
-        wanted = eligible & (gradient >= threshold) & (rng.random(len(x)) > 0.5 ** (level + 1))
-        if level and len(taken) == 1:
+        wanted = often_seen(statistics, preset).ravel() & (gradient >= threshold)
+        wanted &= rng.random(len(x)) > 0.5 ** (level + 1)
+        if level and not len(x_a):
             continue
         size = preset.voxel * max(preset.grow_init // preset.grow_hierarchy**level, 1)
-        occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], *taken]) / size).tolist())}
+        occupied = {*map(tuple, np.round(np.concatenate([p["x_a"], x_a]) / size).tolist())}
         largest = {}  # {free voxel: feature}
-        for voxel, f_a in zip(map(tuple, np.round(x[wanted] / size).tolist()), parents[wanted]):
+        for voxel, feature in zip(map(tuple, np.round(x[wanted] / size).tolist()), parents[wanted]):
             if voxel not in occupied:
-                largest[voxel] = np.maximum(largest.get(voxel, f_a), f_a)
+                largest[voxel] = np.maximum(largest.get(voxel, feature), feature)
         if largest:
             voxels = sorted(largest)
-            taken.append(np.array(voxels, x.dtype) * size)
-            features.append([largest[voxel] for voxel in voxels])
-            sizes.append(np.full(len(voxels), np.log(size)))
-    log_size = np.repeat(np.concatenate(sizes)[:, None], 3, axis=1)
-    return {
-        "x_a": np.concatenate(taken),
-        "f_a": np.concatenate(features),
-        "log_s": log_size,
-        "log_l": log_size,
-        "O_a": np.zeros((len(log_size), *p["O_a"].shape[1:])),
-    }
+            x_a = np.concatenate([x_a, np.array(voxels, x.dtype) * size])
+            f_a = np.concatenate([f_a, [largest[voxel] for voxel in voxels]])
+            log_size = np.concatenate([log_size, np.full((len(voxels), 3), np.log(size))])
+    O_a = np.zeros((len(x_a), *p["O_a"].shape[1:]))
+    return {"x_a": x_a, "f_a": f_a, "log_s": log_size, "log_l": log_size, "O_a": O_a}
 
 
 def often_seen(statistics, preset):
@@ -142,5 +132,4 @@ def reseed(p, first, second, dead, statistics, rng):
     copied["O_a"] = 0
     for name, rows in copied.items():
         p[name][dead] = rows
-        first[name][dead] = 0
-        second[name][dead] = 0
+        first[name][dead] = second[name][dead] = 0

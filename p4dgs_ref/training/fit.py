@@ -6,7 +6,7 @@ import json
 import time
 import warnings
 import zlib
-from contextlib import nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -30,7 +30,6 @@ CHECKPOINT = "checkpoint.npz"
 HOW_TO_RESUME = "--resume (resume=True) goes on from it, another folder starts anew"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 5, fields {FIELDS}".encode()
-CHECKSUM_BYTES = 32
 
 
 class RunError(ValueError):
@@ -87,17 +86,8 @@ def fit(
 ):
     """Do what `train` does without its warnings, and return the Trainer, which has the history."""
     trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
-    progress, common = Progress(stream), identity(trainer)
-
-    def save():
-        if folder is not None:
-            save_checkpoint(trainer, folder, common)
-
-    with nullcontext() if folder is None else locked(folder), deferred() as asked:
-        if resume and folder is not None:
-            restore_checkpoint(trainer, folder, common)
-        elif folder is not None:
-            absent(Path(folder) / CHECKPOINT, HOW_TO_RESUME)
+    progress = Progress(stream)
+    with checkpoints(trainer, folder, resume) as save, deferred() as asked:
         save()
         saved = time.monotonic()
         while trainer.iteration < trainer.preset.iterations and not asked:
@@ -109,12 +99,30 @@ def fit(
     return trainer
 
 
+@contextmanager
+def checkpoints(trainer, folder, resume):
+    """Lock the folder of a run, and yield a function that saves the trainer's state there.
+
+    With `resume` the trainer first takes over what was saved. Without a folder nothing is saved.
+    """
+    if folder is None:
+        yield lambda: None
+        return
+    with locked(folder):
+        common = identity(trainer)
+        if resume:
+            restore_checkpoint(trainer, folder, common)
+        else:
+            absent(Path(folder) / CHECKPOINT, HOW_TO_RESUME)
+        yield lambda: save_checkpoint(trainer, folder, common)
+
+
 def fingerprint(views):
     """CRC-32 of all that training reads of views: pictures, cameras and times."""
     crc = 0
     for view in views:
-        numbers = [*map(np.ravel, vars(view.camera).values()), [view.time]]
-        crc = zlib.crc32(np.concatenate(numbers).tobytes(), zlib.crc32(view.image.tobytes(), crc))
+        for part in (view.image, *vars(view.camera).values(), view.time):
+            crc = zlib.crc32(np.asarray(part).tobytes(), crc)
     return crc
 
 
@@ -125,7 +133,7 @@ def identity(trainer):
         "seed": trainer.seed,
         "effects": trainer.design.effects,
         "design": vars(trainer.design),
-        "background": np.asarray(trainer.scene.background, float).tolist(),
+        "background": trainer.scene.background.tolist(),
         **{f"settings.{name}": value for name, value in trainer.settings._asdict().items()},
         "scene": fingerprint(trainer.scene.train),
     }
@@ -159,8 +167,8 @@ def load_checkpoint(folder):
         whole = path.read_bytes()
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; {expected}") from None
-    data, end = whole[:-CHECKSUM_BYTES], whole[-CHECKSUM_BYTES:]
-    if end != checksum(data):
+    data = whole[:-32]  # the bytes of SHA-256
+    if whole != data + checksum(data):
         raise RunError(
             f"{path}: damaged, edited or written by another release; expected a checkpoint as "
             "`p4dgs-ref train` writes it; train again into another folder"
@@ -185,8 +193,14 @@ def restore_checkpoint(trainer, folder, common):
     trainer.restore(arrays, values)
 
 
-def load_model(folder: str | Path) -> tuple[Model, dict]:
+def load_model(folder):
     """The model in the checkpoint of a run folder, and the values of the checkpoint."""
     arrays, values = load_checkpoint(folder)
-    design, p = Design(**values["design"]), Parameters(tagged(arrays, "p/"))
-    return assemble(p, design, arrays["mask"], tuple(arrays["box"]), values["background"]), values
+    model = assemble(
+        Parameters(tagged(arrays, "p/")),
+        Design(**values["design"]),
+        arrays["mask"],
+        tuple(arrays["box"]),
+        values["background"],
+    )
+    return model, values

@@ -1,7 +1,5 @@
 """The first parameters: random anchors, default networks, a hash grid with random signs."""
 
-from dataclasses import fields
-
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -12,12 +10,12 @@ from .parameters import Parameters, random_layers
 
 def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
-    levels = {"xyz": preset.grid_3d, **dict.fromkeys(("xy", "xz", "yz"), preset.grid_2d)}
-    names = [field.name for field in fields(Design)]
-    same = {name: getattr(preset, name) for name in names if hasattr(preset, name)}
+    grid = [("xyz", res) for res in preset.grid_3d]
+    grid += [(axes, res) for axes in ("xy", "xz", "yz") for res in preset.grid_2d]
+    same = {name: a for name, a in vars(preset).items() if name in Design.__annotations__}
     return Design(
         **same,
-        grid=tuple((axes, res) for axes, listed in levels.items() for res in listed),
+        grid=tuple(grid),
         table=(preset.table_3d, preset.table_2d),
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),
         effects=tuple(effects),
@@ -40,7 +38,7 @@ def starting_points(points, count, extent, rng):
     if points is None:
         points = rng.uniform(-extent, extent, (count, 3))
     points = np.asarray(points, float)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
+    if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise ValueError(
             f"points: expected finite numbers of shape [A, 3], A at least 1, got an array of "
             f"shape {list(points.shape)}"

@@ -83,7 +83,7 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
     [N, 2].
     """
     stage, values = inputs.stage, linear_values(p)  # [A, n]
-    bits, L_rate = 0.0, 0.0
+    bits = L_rate = 0.0
     noisy, q = values, np.array([design.Q_0], values.dtype)
     if stage == 4:
         ctx, back_context = context(design, networks, grids, inputs.located)
@@ -180,11 +180,8 @@ def rate(noisy, ctx, grids, mask, design):
     def back(L_rate_bar):
         rates_bar = back_rates(L_rate_bar=L_rate_bar)
         grids_bar = back_hash(rates_bar["R_hash"])["grids"]
-        of_anchors = back_anchor(rates_bar["R_anchor"])
-        bits_a_bar = concatenate_groups(
-            of_anchors["bits_f"], of_anchors["bits_s"], of_anchors["bits_l"], of_anchors["bits_O"]
-        )
-        bars = back_bits(bits_a_bar)
+        of_anchors = back_anchor(rates_bar["R_anchor"])  # bits of f, s, l and O
+        bars = back_bits(concatenate_groups(*of_anchors.values()))
         group_starts = np.cumsum((0, *design.widths[:-1]))
         q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
         return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar

@@ -4,7 +4,6 @@ from functools import lru_cache
 from math import sqrt
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-15  # as in all methods that P-4DGS builds on
 
@@ -15,7 +14,7 @@ class Parameters:
     The arrays of a network are named "psi.W0", "psi.b0", "psi.W1" and so on.
     """
 
-    def __init__(self, arrays, dtype: DTypeLike = np.float32):
+    def __init__(self, arrays, dtype=np.float32):
         self.vector = np.concatenate([np.ravel(a) for a in arrays.values()]).astype(dtype)
         self.arrays, start = {}, 0
         for name, a in arrays.items():
@@ -28,8 +27,9 @@ class Parameters:
 
     def zeros(self):
         """The same names and shapes, filled with zeros."""
-        zeros = {name: np.zeros_like(array) for name, array in self.arrays.items()}
-        return Parameters(zeros, self.vector.dtype)
+        zeros = Parameters(self.arrays, self.vector.dtype)
+        zeros.vector[...] = 0
+        return zeros
 
     def listed(self, prefix):
         """The arrays whose names begin with the prefix, in their order."""
@@ -87,22 +87,20 @@ class Adam:
         gradient whose square would overflow (above 9e18 in float32, 6e153 in float64) counts as the
         largest whose square does not.
         """
-        rates = {name: rate_of(name) for name in self.steps}
-        for name, rate in rates.items():
+        rates = {}
+        for name in self.steps:
+            rate = rate_of(name)
             self.steps[name] += rate > 0
-
-        def corrected(name):
-            # Both moments start at zero; dividing by the sum of their weights corrects for that.
             n = self.steps[name]
-            return rates[name] * sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if n else 0.0
-
+            # Both moments start at zero; dividing by the sum of their weights corrects for that.
+            rates[name] = rate * sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if rate else 0.0
         m, v = self.first.vector, self.second.vector
         # Beyond this the square of a gradient would overflow, and v would become inf - inf.
         largest = np.sqrt(np.finfo(v.dtype).max) / 2
         g = np.clip(gradients.vector, -largest, largest)
         m += (1 - BETA_1) * (g - m)
         v += (1 - BETA_2) * (g * g - v)
-        parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(corrected)
+        parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(rates.get)
 
 
 @lru_cache
@@ -113,5 +111,5 @@ def exponential(step, first, last, until, start=0):
     """
     if first == last:
         return first
-    share = np.clip((step - start) / max(until - start, 1), 0, 1)
+    share = min(max((step - start) / max(until - start, 1), 0.0), 1.0)
     return float(np.exp((1 - share) * np.log(first) + share * np.log(last)))

@@ -4,18 +4,12 @@
 what differs. `p4dgs-ref presets tiny` prints them side by side.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from ..limits import MAX_ENTRIES, MAX_LAYERS, MAX_NUMBERS, MAX_OF, MAX_WIDTH
 from ..model import declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
-
-# The paper gives no hash grid; these are the resolutions of HAC.
-HAC_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
-HAC_2D = (130, 258, 514, 1026)
 
 
 @dataclass(frozen=True)
@@ -38,8 +32,9 @@ class Preset:
     L_x: int = 10  # frequencies of x: D3DGS (Q2)
     L_t: int = 6  # frequencies of t: D3DGS (Q2)
     context: tuple = (32, 32)  # hidden widths of psi_p and psi_q, two of 2d: paper
-    grid_3d: tuple = HAC_3D  # resolutions: HAC (Q11)
-    grid_2d: tuple = HAC_2D  # resolutions in each plane: HAC (Q11)
+    # resolutions of the hash grid and of its planes: HAC (Q11)
+    grid_3d: tuple = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
+    grid_2d: tuple = (130, 258, 514, 1026)
     table_3d: int = 2**13  # most nodes of a 3D level: HAC (Q11)
     table_2d: int = 2**15  # most nodes of a 2D level: HAC (Q11)
     F: int = 4  # bits of a node: HAC (Q11)
@@ -97,7 +92,7 @@ class Preset:
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
-FIELDS = tuple(field.name for field in fields(Preset))[1:]  # without the name
+FIELDS = tuple(Preset.__annotations__)[1:]  # without the name
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -155,7 +150,7 @@ TINY = Preset(
 )
 # The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
-# For tests; published files were made with its learning rates.
+# For tests.
 SMOKE = replace(
     TINY,
     name="smoke",
@@ -173,13 +168,6 @@ SMOKE = replace(
     lambda_rate=1e-3,
     stage_ends=(10, 15, 30, 45),
     decay_from=15,
-    lr_alpha=(0.001, 1e-4),
-    lr_c=(0.008, 4e-4),
-    lr_r=(0.008, 8e-4),
-    lr_psi_s=(0.008, 8e-4),
-    lr_d=(0.002, 1e-4),
-    lr_p=(0.005, 5e-4),
-    lr_q=(0.005, 5e-4),
     grow="off",
     mask_from=45,
 )
@@ -210,23 +198,27 @@ def every(names, requirement):
     return dict.fromkeys(names.split(), requirement)
 
 
-POSITIVE = f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE
-RATE = (
-    "first,last, two positive rates or 0,0",
-    lambda ends: (
-        len(ends) == 2 and (all(0 < rate < float("inf") for rate in ends) or not any(ends))
-    ),
-)
 # What a field must be, in words and as a test. Of all others, a number that is not negative.
 REQUIREMENTS = {
-    **every("anchors extent voxel grow_every grow_init grow_hierarchy", POSITIVE),
+    **every(
+        "anchors extent voxel grow_every grow_init grow_hierarchy",
+        (f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE),
+    ),
     **{name: between(1, most) for name, most in MAX_OF.items()},
     **every("hidden deformation context", widths(MAX_LAYERS)),
     **every("grid_3d grid_2d", widths(16)),
     **every("table_3d table_2d", between(1, MAX_ENTRIES)),
     **every("tau_alpha lambda_ssim", between(0, 1)),
     **every("Q_f Q_s Q_l Q_O", between(2.0**-40, 2.0**40)),
-    **{name: RATE for name in FIELDS if name.startswith("lr_")},
+    **every(
+        "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q",
+        (
+            "first,last, two positive rates or 0,0",
+            lambda ends: (
+                len(ends) == 2 and all(0 <= n <= MAX_VALUE for n in ends) and all(ends) == any(ends)
+            ),
+        ),
+    ),
     "stage_ends": (
         "four rising iterations",
         lambda ends: (
@@ -240,11 +232,14 @@ REQUIREMENTS = {
 
 def differences(preset, against=PAPER_SYNTHETIC):
     """Every difference as (field, value of the other, value of the preset)."""
-    values = [(name, getattr(against, name), getattr(preset, name)) for name in FIELDS]
-    return [(name, theirs, its) for name, theirs, its in values if theirs != its]
+    return [
+        (name, getattr(against, name), getattr(preset, name))
+        for name in FIELDS
+        if getattr(against, name) != getattr(preset, name)
+    ]
 
 
-def choose(preset: str | Preset, changes: Mapping[str, Any] | None = None) -> Preset:
+def choose(preset, changes=None):
     """A preset, or the one of that name, with some fields changed.
 
     A change may also be a text, as on the command line. Raises ValueError with the name of the
@@ -299,7 +294,7 @@ def read_value(value, like):
     """The value as the type of `like`; a text is parsed, tuples are written with commas."""
     if isinstance(like, tuple):
         if isinstance(value, str):
-            value = [part for part in value.split(",") if part.strip()]
+            value = value.replace(",", " ").split()
         return tuple(read_value(part, like[0] if like else 0) for part in value)
     kind = type(like)
     if isinstance(value, str):

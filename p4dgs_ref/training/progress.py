@@ -12,8 +12,8 @@ COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "ancho
 
 def psnr(image, truth):
     """-10 log10 of the mean squared error of images clipped to [0, 1], in dB; inf if equal."""
-    error = float(np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2))
-    return float("inf") if error == 0 else float(-10 * np.log10(error))
+    error = np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2)
+    return float(-10 * np.log10(error)) if error else np.inf
 
 
 class Progress:
@@ -29,9 +29,11 @@ class Progress:
     def __call__(self, trainer, losses, rendered, view):
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
-        counts = trainer.primitives, len(rendered.index)
+        anchors, gaussians = trainer.primitives, len(rendered.index)
         if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
-            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
+            trainer.history.append(
+                [done, stage, losses.L_total, decibel, losses.L_rate, anchors, gaussians]
+            )
         self.steps += 1
         seconds = time.monotonic() - self.shown
         due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
@@ -43,8 +45,8 @@ class Progress:
         line = (
             f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
             f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
-            f"{losses.L_rate:.2f} bits/parameter  {counts[0]} anchors  "
-            f"{counts[1]} Gaussians  {ms:.1f} ms/step"
+            f"{losses.L_rate:.2f} bits/parameter  {anchors} anchors  "
+            f"{gaussians} Gaussians  {ms:.1f} ms/step"
         )
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"

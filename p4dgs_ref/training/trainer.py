@@ -129,7 +129,7 @@ class Trainer:
             bad = first_bad(p.arrays)
             raise NotFinite(f"iteration {self.iteration}: after Adam's step, parameter {bad}")
         if self.iteration >= self.preset.collect_from:
-            self.statistics.collect(rendered, mean2d_bar, view.camera.width, view.camera.height)
+            self.statistics.collect(rendered, mean2d_bar, view.camera)
         self.iteration += 1
         if self.iteration % self.preset.grow_every == 0:
             self.adjust()
@@ -143,7 +143,7 @@ class Trainer:
 
     def rate_of(self, name):
         """The current learning rate of a name of `learning_rates`; 0 where the stage has none."""
-        if self.stage < FIRST_STAGE.get(name, 1) or (name == "x_a" and self.stage == 4):
+        if self.stage < FIRST_STAGE.get(name, 1) or name == "x_a" and self.stage == 4:
             return 0.0
         return exponential(
             self.iteration,
@@ -210,9 +210,9 @@ class Trainer:
             self.mask &= ~density.faint_children(statistics, preset)
         dead = density.dead_anchors(statistics, self.mask, preset)
         growing = preset.grow_from < now < preset.grow_until
-        p, adam = self.parameters, self.adam
+        p, moments = self.parameters, (self.adam.first, self.adam.second)
         if preset.grow == "reseed" and growing:
-            density.reseed(p, adam.first, adam.second, dead, statistics, self.rng)
+            density.reseed(p, *moments, dead, statistics, self.rng)
             self.mask[dead] = True
         elif preset.grow == "reseed" and now >= preset.grow_until:
             self.keep_rows(~dead)  # too late to learn something new: they only cost bytes
@@ -266,8 +266,8 @@ class Trainer:
             "iteration": self.iteration,
             "steps": self.adam.steps,
             "rng": self.rng.bit_generator.state,
-            "order": [*self.order],
-            "history": [*self.history],
+            "order": self.order,
+            "history": self.history,
         }
 
     def restore(self, arrays, values):

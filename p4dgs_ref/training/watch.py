@@ -61,9 +61,8 @@ def first_bad(arrays, where=""):
         for i, array in enumerate(value if listed else [value]):
             wrong = np.argwhere(~np.isfinite(array))
             if len(wrong):
-                index = tuple(int(i) for i in wrong[0])
-                place = f"{name}[{i}]" if listed else name
-                return f"{where}{place}{list(index) if index else ''} is {np.asarray(array)[index]}"
+                index, place = wrong[0].tolist(), f"{name}[{i}]" if listed else name
+                return f"{where}{place}{index or ''} is {np.asarray(array)[tuple(index)]}"
     return None
 
 
@@ -80,10 +79,10 @@ def find_first(inputs):
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
         if name == "forward":
-            equation = EQUATIONS[key.split(",")[0]]
-            phrases.append(first_bad(equation.named(value[0]), f"{where}, forward: "))
+            value = EQUATIONS[key.split(",")[0]].named(value[0])
         else:
-            phrases.append(first_bad(value, f"{where}, backward, gradient of: "))
+            name = "backward, gradient of"
+        phrases.append(first_bad(value, f"{where}, {name}: "))
 
     with np.errstate(all="ignore"), watching(equation_codes(), see):
         losses, _, back = objective.loss(*inputs)

@@ -9,7 +9,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli import text
-from p4dgs_ref.training import fit
+from p4dgs_ref.training import advice
 from p4dgs_ref.training.presets import TINY
 from tests.training.bars import Share, moving, scene
 
@@ -23,9 +23,9 @@ def messages(function, *args, **kwargs):
 
 
 def test_few_views_are_told_of_in_one_line():
-    told = fit.few_views(scene(fit.FEW_VIEWS - 1))
-    assert f"{fit.FEW_VIEWS - 1} training views" in told and "\n" not in told
-    assert not fit.few_views(scene(fit.FEW_VIEWS))
+    told = advice.few_views(scene(advice.FEW_VIEWS - 1))
+    assert f"{advice.FEW_VIEWS - 1} training views" in told and "\n" not in told
+    assert not advice.few_views(scene(advice.FEW_VIEWS))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_few_views_are_told_of_in_one_line():
 def test_pictures_without_content_are_counted(change, count):
     """A good score on them means nothing: an empty model has it, too."""
     full = moving()
-    told = fit.empty_pictures(replace(full, train=[replace(v, **change) for v in full.train]))
+    told = advice.empty_pictures(replace(full, train=[replace(v, **change) for v in full.train]))
     assert "\n" not in told and bool(told) == bool(count)
     assert f": {count} of 5 pictures show hardly more than one colour, or" in told or not count
 
@@ -69,16 +69,16 @@ POINTS = [
 @pytest.mark.parametrize("points, extent, words", POINTS)
 def test_starting_points_that_training_cannot_use_are_counted(points, extent, words):
     preset = replace(TINY, extent=extent)
-    told = fit.odd_points(replace(scene(30), points=points), preset, 0, None)
+    told = advice.odd_points(replace(scene(30), points=points), preset, 0, None)
     assert bool(told) == bool(words) and "\n" not in told
     assert [word for word in words if word not in told] == [], told
-    assert fit.odd_points(scene(30), preset, 0, points) == told
+    assert advice.odd_points(scene(30), preset, 0, points) == told
 
 
 @pytest.mark.parametrize("share, is_told", [(0, True), (0.28, True), (0.3, False), (1, False)])
 def test_what_moves_is_lost_within_3_db_of_the_mean_picture(share, is_told):
     """With this share of the truth, the error shrinks by the factor (1 - share)**2."""
-    told = fit.lost(Share(moving(), share))
+    told = advice.after(Share(moving(), share))
     assert bool(told) == is_told and "\n" not in told
     if is_told:
         mean, seen = Share(moving(), 0).mean, moving().test[0].image
@@ -87,7 +87,7 @@ def test_what_moves_is_lost_within_3_db_of_the_mean_picture(share, is_told):
         assert f"training pictures {flat:.2f} dB" in told and "what moves is lost" in told
         assert "test views" in told and "12.5% of the pixels" in told and "seed" in told
     without = replace(moving(), test=[])
-    assert bool(fit.lost(Share(without, share))) == is_told
+    assert bool(advice.after(Share(without, share))) == is_told
 
 
 def test_a_mover_over_something_static_is_lost_though_the_picture_is_good():
@@ -96,19 +96,19 @@ def test_a_mover_over_something_static_is_lost_though_the_picture_is_good():
     for view in (*wall.train, *wall.test):
         view.image[:, :4] = 0.5
     seen = Share(wall, 0)
-    assert "what moves is lost" in fit.lost(seen)
+    assert "what moves is lost" in advice.after(seen)
 
 
 def test_a_scene_without_motion_is_told_that_it_is_useless():
     still = replace(moving(), effects=("occlusion",))
-    told = fit.lost(Share(still, 0))
+    told = advice.after(Share(still, 0))
     assert "useless" in told and "moves" not in told and "body" not in told
 
 
 def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
     still = Share(scene(3), 1)
     still.render = lambda camera, t, settings: scene(3).train[0].image
-    assert not fit.lost(still)
+    assert not advice.after(still)
 
 
 @pytest.mark.parametrize("work", [p4.train, p4.main_job])

@@ -8,6 +8,7 @@ turn, of this process or, for kernels, of one process each; trainings may run in
 import hashlib
 import json
 import os
+import zlib
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
@@ -193,7 +194,7 @@ class Training(NamedTuple):
         scene, preset, options = prepared(self.changes, self.iterations)
         names = [knob.name for knob in self.files]
         text = f"{preset} {options} {names} {scene.effects} {arithmetic()}"
-        crc = fingerprint(scene.train + scene_of().test, text)
+        crc = zlib.crc32(text.encode(), fingerprint(scene.train + scene_of().test))
         return Path(self.folder) / f"{SCENE}_seed{self.seed}_{crc:08x}.json"
 
 

@@ -47,7 +47,7 @@ def choose(method, preset=None, changes=None):
     """
     module, tiny = module_of(method)
     base = entry(module.PRESETS, "preset", preset or tiny)
-    return replace(base, **read_changes(base.name, vars(base), changes))
+    return replace(base, **read_changes(base, changes))
 
 
 def train(scene, method="d3dgs", preset=None, seed=0, settings=FAST, report=None, **changes):

@@ -52,7 +52,7 @@ def sensitivity(model, views, rng):
 
     The gradient of the pixels with random signs has a square whose mean is H (Hutchinson).
     """
-    H = Parameters(model.parameters.arrays, vector=np.zeros(model.parameters.vector.shape))
+    H = Parameters(model.parameters.arrays, np.float64).zeros()
     for view in [view for view in views for _ in range(DRAWS)]:
         g, back_predict = model.predict(view.time, view.camera.center)
         (image, *_), back_render = model.render_gaussians(g, view.camera, FAST)
