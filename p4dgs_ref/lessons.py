@@ -11,9 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from .attributes import ATTRIBUTES
-from .oracle import published
-from .oracle.checker import Report, check, check_subject
-from .oracle.ports import FunctionPort
 from .output import write_atomically
 from .report.figures import COLORS
 from .table import EQUATIONS
@@ -101,9 +98,19 @@ RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial 
 HINTS_GIVEN = {}  # exercise -> how many hints were asked for
 
 
+def oracle():
+    """Return the oracle. It is imported by what asks it; figures and claims do without."""
+    from . import oracle
+
+    return oracle
+
+
 def tutorial_of(key):
     """Return the tutorial that explains an equation."""
-    return next(tutorial for tutorial in TUTORIALS if key in tutorial.keys)
+    for tutorial in TUTORIALS:
+        if key in tutorial.keys:
+            return tutorial
+    raise KeyError(f"{key!r}: no tutorial in TUTORIALS of p4dgs_ref/lessons.py explains it")
 
 
 # --- figures --------------------------------------------------------------------------------------
@@ -263,14 +270,14 @@ def passes(*keys, port=None):
     """
     for key in keys:
         vjp = None if port else lambda inputs, bars: EQUATIONS[key].vjp(**inputs)[1](**bars)
-        report = check(port or EQUATIONS[key], key, vjp)
+        report = oracle().check(port or EQUATIONS[key], key, vjp)
         print(report)
         assert report.ok
 
 
 def caught(mistaken, key, *says, vjp=None):
     """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
-    first = check(mistaken, key, vjp).first
+    first = oracle().check(mistaken, key, vjp).first
     assert first, f"{key}: the mistake is not noticed"
     message = f"{first.id} fails: {first.explanation or first.hint or first.findings[0].message}"
     print(message)
@@ -280,7 +287,10 @@ def caught(mistaken, key, *says, vjp=None):
 # --- exercises ------------------------------------------------------------------------------------
 def golden(id):
     """Return the tensors of one case of the golden vectors: golden("offsets/ordinary")["out.x"]."""
-    return next(c for c in published.cases(id.partition("/")[0]) if c.id == id).tensors
+    cases = {case.id: case for case in oracle().published.cases(id.partition("/")[0])}
+    if id not in cases:
+        raise KeyError(f"{id!r}: expected one of {', '.join(cases)}")
+    return cases[id].tensors
 
 
 def check_number(exercise, mine, want=None, digits=6):
@@ -319,9 +329,9 @@ def check_number(exercise, mine, want=None, digits=6):
 
 def check_forward(exercise, mine, key):
     """Check a forward: `mine(**inputs)` returns one array, a tuple or a dictionary of outputs."""
-    cases = published.cases(key)
+    cases = oracle().published.cases(key)
     names = dict.fromkeys(n.split(".")[1] for n in cases[0].tensors if n.startswith("out."))
-    port = FunctionPort(lambda **inputs: outputs_of(mine(**inputs), names))
+    port = oracle().FunctionPort(lambda **inputs: outputs_of(mine(**inputs), names))
     settle(exercise, problem(cases, port, ("out.",)))
 
 
@@ -336,7 +346,8 @@ def check_backward(exercise, mine, key, *wanted):
         return gradients_of(made, wanted or made)
 
     roles = tuple(f"in_bar.{name}" for name in wanted or [""])
-    settle(exercise, problem(published.cases(key), FunctionPort(lambda **_: {}, vjp), roles))
+    cases, port = oracle().published.cases(key), oracle().FunctionPort(lambda **_: {}, vjp)
+    settle(exercise, problem(cases, port, roles))
 
 
 def settle(exercise, problem):
@@ -396,7 +407,7 @@ def problem(cases, port, roles):
     kept = SimpleNamespace(
         run=lambda case: answers.setdefault(case.id, port.run(case)), asked=roles
     )
-    first = Report(check_subject(cases, kept)).first
+    first = oracle().Report(oracle().checker.check_subject(cases, kept)).first
     if first is None:
         return ""
     if not first.findings:
@@ -422,7 +433,7 @@ def problem(cases, port, roles):
 def axes_of(case, tensor):
     """Return the shape of a tensor, with the names of its axes: "[A, k, 3] = [5, 4, 3]"."""
     role, name = tensor.split(".")[:2]
-    axes = published.subjects()[case.subject]["shapes"][name].strip("*").split(" -> ")
+    axes = oracle().published.subjects()[case.subject]["shapes"][name].strip("*").split(" -> ")
     names = f"[{', '.join(axes[-1 if role == 'out' else 0].split())}]"
     return " = ".join(dict.fromkeys((names, str(list(case.tensors[tensor].shape)))))
 

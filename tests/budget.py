@@ -1,12 +1,12 @@
-"""Counts what `budget.json` limits: `python -m tests.budget` prints the counts in its form.
+"""Counts what `budget.json` limits: `python -m tests.budget` prints each count and its ceiling.
 
-A statement is a node of Python's syntax tree that is a statement, docstrings left out. A token is a
-name, operator or number.
+A token is a name, operator, number or string of Python; comments and docstrings are free.
 """
 
 import argparse
 import ast
 import gc
+import io
 import json
 import tokenize
 from functools import cache
@@ -15,17 +15,8 @@ from p4dgs_ref.cli.parser import parser
 from tests import ROOT
 
 PACKAGE = ROOT / "p4dgs_ref"
-# Rooms that are counted together.
-SHARED = {
-    **dict.fromkeys(
-        ("splatting", "table", "model", "attributes", "effects", "limits"), "splatting, model"
-    ),
-    "random_inputs": "lab",
-    "output": "scenes",
-    **dict.fromkeys(
-        ("cli", "designs", "signals", "arithmetic", "__init__", "__main__"), "cli, root"
-    ),
-}
+CEILINGS = json.loads((ROOT / "tests" / "budget.json").read_text(encoding="utf-8"))
+CODE = (tokenize.NAME, tokenize.OP, tokenize.NUMBER, tokenize.STRING)
 
 
 @cache
@@ -38,18 +29,16 @@ def parse(file):
         gc.enable()
 
 
-def inside(node):
-    """Every statement within a module or a statement; expressions, which hold none, are skipped."""
-    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
-        for child in getattr(node, field, ()):
-            if isinstance(child, ast.stmt):
-                yield child
-            yield from inside(child)
-
-
-def statements(file):
-    """The number of statements in a file."""
-    return sum(not is_docstring(node) for node in inside(parse(file)))
+def tokens(file):
+    """The number of tokens of a file."""
+    holders = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    firsts = [
+        node.body[0] for node in ast.walk(parse(file)) if isinstance(node, holders) and node.body
+    ]
+    docstrings = {(first.lineno, first.col_offset) for first in firsts if is_docstring(first)}
+    text = io.StringIO(file.read_text(encoding="utf-8"))
+    found = tokenize.generate_tokens(text.readline)
+    return sum(token.type in CODE and token.start not in docstrings for token in found)
 
 
 def is_docstring(node):
@@ -57,19 +46,13 @@ def is_docstring(node):
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
-def tokens_per_line(files):
-    """Tokens of code per line that holds any."""
-    tokens = lines = 0
-    for file in files:
-        with open(file, "rb") as text:
-            code = [
-                token.start[0]
-                for token in tokenize.tokenize(text.readline)
-                if token.type in (tokenize.NAME, tokenize.OP, tokenize.NUMBER)
-            ]
-        tokens += len(code)
-        lines += len(set(code))
-    return round(tokens / lines, 2)
+def inside(node):
+    """Every statement within a module or a statement; expressions, which hold none, are skipped."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for child in getattr(node, field, ()):
+            if isinstance(child, ast.stmt):
+                yield child
+            yield from inside(child)
 
 
 def imported(file, package=PACKAGE):
@@ -89,13 +72,10 @@ def room_of(file):
     return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
-def rooms():
-    """{room of the budget: statements} of the package."""
-    counts = {}
-    for file in sorted(PACKAGE.rglob("*.py")):
-        room = SHARED.get(room_of(file), room_of(file))
-        counts[room] = counts.get(room, 0) + statements(file)
-    return counts
+def entry_of(room):
+    """The entry that names a room; modules of the root share one."""
+    named = (entry for entry in CEILINGS if room in entry.replace(" with ", ", ").split(", "))
+    return next(named, "cli, root")
 
 
 def subcommands(command):
@@ -110,25 +90,40 @@ def options(command):
     return own + sum(map(options, subcommands(command).values()))
 
 
+def files(folder, *without):
+    """The Python files below a folder of the checkout, those below some folders in it left out."""
+    place = ROOT / folder
+    left_out = {file for name in without for file in (place / name).rglob("*.py")}
+    return sorted({*place.rglob("*.py")} - left_out)
+
+
+@cache
 def budget():
-    """The figures of DESIGN for the tree as it is."""
-    package = sorted(PACKAGE.rglob("*.py"))
-    tools = sorted((ROOT / "tutorials" / "tools").rglob("*.py"))
-    tutorials = sorted(set((ROOT / "tutorials").rglob("*.py")) - set(tools))
-    tests = sorted((ROOT / "tests").rglob("*.py"))
+    """{entry of budget.json: its count} for the tree as it is."""
+    package = files("p4dgs_ref")
+    rooms = {}
+    for file in package:
+        entry = entry_of(room_of(file))
+        rooms[entry] = rooms.get(entry, 0) + tokens(file)
+    groups = {
+        "package": package,
+        "tutorials with solutions": files("tutorials", "tools", "experiments"),
+        "tools": files("tutorials/tools"),
+        "experiments": files("tutorials/experiments"),
+        "tests": files("tests"),
+    }
+    scripts = [*(PACKAGE / "viewer").glob("*.js")]
     return {
-        **rooms(),
-        "package": sum(map(statements, package)),
+        **rooms,
+        **{entry: sum(map(tokens, group)) for entry, group in groups.items()},
         "files": len(package),
         "commands": len(subcommands(parser())),
         "options": options(parser()),
-        "tutorials": sum(map(statements, tutorials)),
-        "tools": sum(map(statements, tools)),
-        "tests": sum(map(statements, tests)),
-        "tokens_per_line": tokens_per_line(package),
-        "tutorial_tokens_per_line": tokens_per_line(tutorials),
+        "JavaScript lines": sum(len(f.read_text(encoding="utf-8").splitlines()) for f in scripts),
     }
 
 
 if __name__ == "__main__":
-    print(json.dumps(budget(), indent=1))
+    for entry, count in budget().items():
+        ceiling = CEILINGS.get(entry, 0)
+        print(f"{count:8,} of {ceiling:8,}  {entry}{'  TOO MUCH' * (count > ceiling)}")

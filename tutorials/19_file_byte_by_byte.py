@@ -35,9 +35,10 @@ architecture.show("19_file_byte_by_byte", "rounding", "entropy_coder", "file")
 #   + \sum_i bytes_i$$
 
 # %%
-from p4dgs_ref.codec import container, published
+from p4dgs_ref.codec import container
+from p4dgs_ref.oracle.streams import STREAMS
 
-data = (published.FOLDER / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
+data = (STREAMS / "one_anchor.p4dgs").read_bytes()  # one anchor with one child
 
 parts = container.layout(data)
 sizes = [size for _, size in parts]
@@ -401,7 +402,7 @@ def published_of_version_1(kind):
     """The published streams of a kind; those of version 2 are called coded_."""
     rows = streams.read_rows()[kind]
     files = [row["file"] for row in rows if not row["file"].startswith("coded_")]
-    return [(published.FOLDER / file).read_bytes() for file in files]
+    return [(STREAMS / file).read_bytes() for file in files]
 
 
 def grade_container(mine):

@@ -107,7 +107,7 @@ def decode(x, stack, tables):
 
 
 # %%
-from p4dgs_ref.codec import context, published
+from p4dgs_ref.codec import context
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.report import evaluate, inspect
@@ -405,7 +405,7 @@ def my_sigma_units(raw, log2_D, p):
 
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
-stream = (published.FOLDER / "full.p4dgs").read_bytes()
+stream = (streams.STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(read_container(stream)).model
 widths = full.design.widths
 layers = context.whole_layers(*full.networks["psi_p"])

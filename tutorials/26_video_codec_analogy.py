@@ -321,11 +321,11 @@ lessons.show(
 # summed loss.
 
 # %%
-from p4dgs_ref.codec import published
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.model import predict
 
 rng = np.random.default_rng(26)
-small = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
+small = p4.decode((STREAMS / "full.p4dgs").read_bytes())
 x_c = np.array([0.0, -3, 1])
 OUTPUTS = ("x", "s", "r", "alpha", "color")
 

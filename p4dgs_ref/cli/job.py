@@ -9,9 +9,9 @@ import numpy as np
 
 import p4dgs_ref as p4
 
-from ..codec import container, splats
+from ..codec import container
 from ..output import absent, filled, made, new_file, write_atomically
-from ..report import figures
+from ..report import figures, splats
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed

@@ -435,6 +435,10 @@ def run(argv, start):
             code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError) as error:
             code, message = 1, str(error) or "out of memory"
+        except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
+            if not str(error.name).startswith("p4dgs_ref."):
+                raise
+            code, message = 2, f"{arguments.command}: {error.name} is not in this installation"
         except ChildProcessError as error:
             code, message = 1, f"{error}{STOPPED.get(arguments.command, '')}"
         except OSError as error:

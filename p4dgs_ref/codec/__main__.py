@@ -20,7 +20,6 @@ PARTS = (
     "gaussian_table",
     "streams",
     "rans",
-    "published",
 )
 PICTURE = Path(__file__).with_name("picture.txt")
 TABLES = {

@@ -27,9 +27,8 @@ need more than 2^29 bytes.
 A reader checks, in this order: the size (at least 18 bytes), magic, version, S, total length, the
 checksum of the table, the ids and their order, the sum of the lengths, and the checksum of every
 section. All but the last need the size of the file and its first 117 bytes only. The next part of
-this page says which sections a model needs, and the last part before the tables (`published.py`)
-names the kinds of errors and describes the expected numbers, the `.bin` files, of the streams on
-which a decoder can be tried.
+this page says which sections a model needs. `p4dgs-ref oracle export` writes small files on which a
+decoder can be tried, with what it must find in them and files that it must refuse.
 
 Worked numbers. The file whose only section is "masks" (id 7) with the bytes 01 02 03 has
 18 + 9 + 3 = 30 bytes:

@@ -86,12 +86,9 @@ def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None
     return decode_symbols(data, gaussian_model(mu_units, sigma_units), section, pop_rows)
 
 
-def decode_symbols(data, model, section="stream", pop_rows=None, at=0):
-    """Like `decode_gaussian`, for a model already built, so that mu and sigma can be freed.
-
-    The stream begins at byte `at`.
-    """
-    entries, start = rans.decode(data, model.table, model.keys, at, section, pop_rows)
+def decode_symbols(data, model, section="stream", pop_rows=None):
+    """Like `decode_gaussian`, for a model already built, so that mu and sigma can be freed."""
+    entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
     # In pieces, so that only a few bytes per symbol are in use at any time.
     pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
     symbols, at = np.empty(len(entries), np.int64), 8 * start

@@ -42,7 +42,7 @@ import time
 
 import numpy as np
 
-from ..limits import MAX_LINE_BYTES, cut
+from ..limits import cut
 from .compare import cast
 from .ports import ROLES, PortError
 from .published import subjects
@@ -52,6 +52,7 @@ VERSION = 1
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3
+MAX_LINE_BYTES = 2**26  # of an answer
 QUOTE_LENGTH = 300  # characters of stderr, or of a line that is no answer
 
 
@@ -120,15 +121,6 @@ class Adapter(contextlib.AbstractContextManager):
             return None, cut(str(answer["refused"]))
         return unpacked(answer, "arrays"), None
 
-    def rest(self):
-        """End the process; return what it wrote to stdout after its last answer, at most its start.
-
-        Everything before that was read as the answer to some request.
-        """
-        child = self.child
-        self.close()
-        return cut(repr(bytes(child.unread))[1:]) if child and child.unread else ""
-
     def __exit__(self, *_):
         self.close()
 
@@ -163,13 +155,7 @@ class Adapter(contextlib.AbstractContextManager):
                 self.says = self._exchange(
                     {"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle"
                 )
-                gradients = self.says.get("gradients", True)
-                require(
-                    isinstance(gradients, bool),
-                    "gradients",
-                    f"expected true or false, got {json.dumps(gradients)}",
-                )
-                self.asked = ROLES if gradients else ROLES[:1]
+                self.asked = ROLES if self.says.get("gradients", True) else ROLES[:1]
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
                 require(
                     isinstance(listed, list) and all(name in known for name in listed),
@@ -277,21 +263,15 @@ class Child:
         except subprocess.TimeoutExpired:
             return running
         how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-        middle = ", in the middle of a line" if self.unread else ""
-        return PortError("died", f"the process ended without an answer: {how}{middle}")
+        return PortError("died", f"the process ended without an answer: {how}")
 
     def end(self, grace):
-        """Close stdin, wait `grace` seconds, kill the group; return the end of stderr.
-
-        What the process had still written to stdout is then in `unread`, at most its start.
-        """
+        """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
         with self.process:  # closes the pipes
             try:
                 self.stdin.close()
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self.process.wait(grace)
-                if select.select([self.stdout], [], [], 0)[0]:
-                    self.unread += self.stdout.read(select.PIPE_BUF)
             finally:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self.process.pid, signal.SIGKILL)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import doctor, published, rooms
+from . import doctor, published
 from .compare import RECIPES, Result, as_printed, compare, expected, precision
 from .ports import ROLES, FunctionPort, PortError
 from .published import GROUPS, LEVELS
@@ -84,17 +84,9 @@ def check_port(port, levels=(), only=(), progress=lambda text: None, strict=Fals
                 progress(subject["key"])
                 cases = [case for case in published.read(subject) if case.id in chosen]
                 results += check_subject(cases, port, strict)
-    rest = port.rest() if results and hasattr(port, "rest") else ""
-    if rest:
-        says = f"expected nothing after the last answer, got {rest}"
-        results[-1] = results[-1]._replace(verdict="nonsense", required=True, explanation=says)
     dtype = getattr(port, "dtype", None)
-    return Report(
-        _shared(rooms.refined(results)),
-        getattr(port, "says", {}),
-        dtype and np.dtype(dtype).name,
-        strict,
-    )
+    says = getattr(port, "says", {})
+    return Report(_shared(results), says, dtype and np.dtype(dtype).name, strict)
 
 
 def _chosen(rows, names, only):
@@ -144,8 +136,7 @@ def judge(case, port, strict=False):
 
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
-    extra = {name for name in got if name.startswith("in_bar.")} - case.tensors.keys()
-    got = {name: a for name, a in got.items() if name not in extra}
+    got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}
     is_valid, unasked = case.record["result"] == "valid", case.unasked(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.
     some = case.group == "inside" and expected(case.tensors).keys() & got.keys()
@@ -168,7 +159,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         verdict = "pass" if names else "unasked"
     return Result(
         case.id,
-        rooms.blamed(case, mistaken or findings),
+        case.equation,
         case.level,
         verdict,
         required=bool(names) and (is_valid or verdict == "fail"),
@@ -176,7 +167,6 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         unasked=(*unasked, *sorted(vague)),
         recipe=RECIPES[case.subject] if is_valid and findings and not mistaken else "",
         group=case.group,
-        extra=tuple(sorted(extra)),
     )
 
 
@@ -222,20 +212,15 @@ def explained(result, diagnoses):
 
 
 def _shared(results):
-    """Reuse an equation's explanation for failures without a diagnosis.
+    """Reuse an equation's explanation for failures of its other subjects without a diagnosis.
 
-    It comes from the cases of another subject; where the doctor was silent about a case of the same
-    subject, that case contradicts it. The subjects of a training share theirs.
+    Where the doctor was silent about a case of the same subject, that case contradicts it.
     """
-    sources = {rooms.shared_by(r): r for r in reversed(results) if r.findings and r.explanation}
-    return [_with_explanation_of(sources.get(rooms.shared_by(r), r), r) for r in results]
-
-
-def _with_explanation_of(source, result):
-    """Return a result, with the explanation of another subject's where it failed without one."""
-    has_none = not (result.explanation or result.hint or result.recipe)
-    if result.findings and has_none and result.subject != source.subject:
-        return result._replace(
-            explanation=f"{source.explanation} (seen in {source.id})", equation=source.equation
-        )
-    return result
+    known = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
+    shared = []
+    for r in results:
+        source = known.get(r.equation, r)
+        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject:
+            r = r._replace(explanation=f"{source.explanation} (seen in {source.id})")
+        shared.append(r)
+    return shared

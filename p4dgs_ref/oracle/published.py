@@ -27,8 +27,6 @@ LEVELS = {
 }
 # Groups of subjects that a port may leave out, with their level.
 GROUPS = {
-    "baselines": "level L1",
-    "beyond": "level L1",
     "inside": "levels L2, L4",
     "pictures": "level L3",
 }

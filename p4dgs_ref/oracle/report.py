@@ -11,16 +11,16 @@ RECIPE_HEAD = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
-    """Return `Eq. (11) likelihood`, `D1 activations`, or the key alone where there is no number."""
+    """Return `Eq. (11) likelihood`, or the key alone where there is no number."""
     number = subjects().get(equation, {"number": ""})["number"]
-    return f"{f'Eq. ({number})' if number[:1].isdigit() else number} {equation}".strip()
+    return f"Eq. ({number}) {equation}" if number else equation
 
 
 def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
     return "\n".join(
         line
-        for section in (scores, lacking, left_out, unasked, ignored, acceptable, divergence)
+        for section in (scores, lacking, left_out, unasked, acceptable, divergence)
         for line in section(report)
     )
 
@@ -33,13 +33,12 @@ def scores(report):
 
 
 def lacking(report):
-    """Return what the port said in its first line that it lacks."""
+    """Yield what the port said in its first line that it lacks."""
     absent = Counter(r.subject for r in report.results if r.verdict == "absent")
-    return [
-        *["the port answers no gradients: outputs alone were judged"]
-        * (report.says.get("gradients") is False),
-        *[f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"] * bool(absent),
-    ]
+    if report.says.get("gradients") is False:
+        yield "the port answers no gradients: outputs alone were judged"
+    if absent:
+        yield f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"
 
 
 def left_out(report):
@@ -53,21 +52,12 @@ def left_out(report):
 
 
 def unasked(report):
-    """Return a line about cases and tensors of which no bound tells wrong answers."""
+    """Yield a line about cases and tensors of which no bound tells wrong answers."""
     cases = sum(r.verdict == "unasked" for r in report.results)
     tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
-    others = f" and {tensors} tensors of other cases" * bool(tensors)
-    line = f"{cases} cases{others} are not judged here: a wrong answer would pass too"
-    return [line] * bool(cases or tensors)
-
-
-def ignored(report):
-    """Return a line that names gradients that were answered although no case expects them."""
-    rows = [f"{r.subject} {n.split('.')[1]}" for r in report.results for n in r.extra]
-    names = [*dict.fromkeys(rows)]
-    more = f" and {len(names) - MAX_LISTED} more" * (len(names) > MAX_LISTED)
-    listed = f"{', '.join(names[:MAX_LISTED])}{more}"
-    return [f"gradients that are not expected, ignored: {listed}"] * bool(rows)
+    if cases or tensors:
+        others = f" and {tensors} tensors of other cases" if tensors else ""
+        yield f"{cases} cases{others} are not judged here: a wrong answer would pass too"
 
 
 def acceptable(report):
@@ -79,29 +69,30 @@ def acceptable(report):
 
 
 def divergence(report):
-    """Return the first wrong case with its explanation, then a line or two a subject."""
+    """Yield the first wrong case with its explanation, then a line or two a subject."""
     first, required = report.first, [r.verdict for r in report.results if r.required]
     if first:
-        others = [r for r in report.results if r.wrong and r is not first]
-        return [
-            "",
-            f"first divergence: {name_of(first.equation)}",
-            *_case(first),
-            *_others(others, first.explanation),
-        ]
-    how = "passes or is acceptable" if "acceptable" in required else "passes"
-    return [f"every required case {how}" if report.ok else "no required case was run"]
+        yield from ("", f"first divergence: {name_of(first.equation)}")
+        yield from _case(first)
+        yield from _others(
+            [r for r in report.results if r.wrong and r is not first], first.explanation
+        )
+    elif report.ok:
+        how = "passes or is acceptable" if "acceptable" in required else "passes"
+        yield f"every required case {how}"
+    else:
+        yield "no required case was run"
 
 
 def _case(result):
     head, reason = _reason(result)
-    return [
-        f"  {result.id}: {result.verdict}",
-        *[f"    {head}: {reason}"] * bool(reason),
-        *(f"    {_difference(result, finding)}" for finding in result.findings[:MAX_LISTED]),
-        *[f"    and {len(result.findings) - MAX_LISTED} more tensors"]
-        * (len(result.findings) > MAX_LISTED),
-    ]
+    yield f"  {result.id}: {result.verdict}"
+    if reason:
+        yield f"    {head}: {reason}"
+    for finding in result.findings[:MAX_LISTED]:
+        yield f"    {_difference(result, finding)}"
+    if len(result.findings) > MAX_LISTED:
+        yield f"    and {len(result.findings) - MAX_LISTED} more tensors"
 
 
 def _difference(result, finding):
@@ -121,25 +112,17 @@ def _reason(result):
 
 
 def _others(results, known):
-    """Return what fails besides the first case."""
-    lines = ["", f"{len(results)} more fail:"] if results else []
+    """Yield what fails besides the first case."""
+    if results:
+        yield from ("", f"{len(results)} more fail:")
     for key in dict.fromkeys(r.subject for r in results):
         rows = [r for r in results if r.subject == key]
-        names = [r.id.split("/")[1] for r in rows if r.verdict == "fail"]
-        more = f" and {len(names) - MAX_LISTED} more" * (len(names) > MAX_LISTED)
-        parts = [
-            *[", ".join(names[:MAX_LISTED]) + more] * bool(names),
-            *(
-                f"{count} {verdict}"
-                for verdict, count in Counter(sorted(r.verdict for r in rows)).items()
-                if verdict != "fail"
-            ),
-        ]
-        lines.append(f"  {key}: {'; '.join(parts)}")
-        for (head, reason), count in Counter(_reason(r) for r in rows if _reason(r)[1]).items():
-            where = f" ({count} of these)" if count < len(rows) else ""
-            lines.append(f"    {head}{where}: {'the same' if reason == known else reason}")
-    return lines
+        names = [r.id.split("/")[1] + f" ({r.verdict})" * (r.verdict != "fail") for r in rows]
+        more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
+        yield f"  {key}: {', '.join(names[:MAX_LISTED])}{more}"
+        for head, reason in dict.fromkeys(map(_reason, rows)):
+            if reason:
+                yield f"    {head}: {'the same' if reason == known else reason}"
 
 
 def as_json(report):
@@ -157,7 +140,6 @@ def as_json(report):
             "hint": r.hint or None,
             "recipe": r.recipe or None,
             "unasked": list(r.unasked),
-            "extra": list(r.extra),
         }
         for r in report.results
     ]

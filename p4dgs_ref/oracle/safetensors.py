@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ..limits import MAX_ANSWER_HEADER_BYTES, cut
+from ..limits import cut
 
+MAX_HEADER_BYTES = 2**20  # above it a length is damaged
 DTYPES = {
     "F64": "<f8",
     "F32": "<f4",
@@ -65,9 +66,9 @@ def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
     length = int.from_bytes(data[:8], "little") if len(data) >= 8 else 0
     require(
-        length <= MAX_ANSWER_HEADER_BYTES,
+        length <= MAX_HEADER_BYTES,
         "header",
-        f"expected a length of at most {MAX_ANSWER_HEADER_BYTES} bytes, got {length}",
+        f"expected a length of at most {MAX_HEADER_BYTES} bytes, got {length}",
     )
     header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
     require(

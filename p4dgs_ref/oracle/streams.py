@@ -6,9 +6,8 @@ with the arrays by their names, and `codec/refusals.json` with {name: reason}; t
 for a stream that was not refused. Integers may have any integer type, and masks and signs may be
 BOOL; q, x_a and attributes are F64, and the numbers of the networks F32.
 
-Version 2 goes beyond the paper: a port may leave out all its streams, but not some of them.
-
-`export` copies streams and vectors into a folder, for ports that read files.
+The README of the vectors describes the arrays and the kinds of errors. `export` copies streams and
+vectors into a folder, for ports that read files.
 """
 
 import json
@@ -17,16 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..codec import published
 from ..codec.container import BitstreamError, read_container
-from ..codec.file import quantised_of
+from ..codec.context import hash_feature
+from ..codec.file import NETWORK_SECTIONS, quantised_of
+from ..codec.plain import network_numbers
 from ..output import OutputError, filled
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
 from .published import FOLDER, read_manifest
 
-VERSION_2 = "codec/coded_"  # how the ids of its streams begin
+STREAMS = Path(__file__).with_name("streams_v1")
+TYPES = {"u8": "u1", "u16": "<u2", "i32": "<i4", "i64": "<i8", "f32": "<f4", "f64": "<f8"}
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
 # blame if this array is the first wrong one.
 BLAMED = {
@@ -49,7 +50,37 @@ BLAMED = {
 
 def read_rows():
     """Return the manifest of the conformance streams, {"good": [...], "bad": [...]}."""
-    return json.loads((published.FOLDER / "manifest.json").read_text(encoding="utf-8"))
+    return json.loads((STREAMS / "manifest.json").read_text(encoding="utf-8"))
+
+
+def arrays_of(quantised):
+    """Return the arrays that a decoder must find in the file of a model, {name: (type, array)}."""
+    model, ctx = quantised.model, quantised.context
+    signs = np.concatenate([grid.ravel() for grid in model.grids])
+    # Undoes the one rounded product of doubles, q = q_units Q_0 2^-15.
+    q_units = np.rint(ctx.q / (np.array(model.design.Q_0) * 2.0**-15))
+    arrays = {
+        "positions": ("u16", quantised.positions),
+        "x_a": ("f64", model.anchors.x_a),
+        "masks": ("u8", model.anchors.mask),
+        "signs": ("bit", signs > 0),
+        "h": ("i32", hash_feature(quantised.positions, model.grids, model.design)),
+        "q_units": ("i32", q_units),
+        "q": ("f64", ctx.q),
+        "mu_units": (_integer_type(ctx.mu_units), ctx.mu_units),
+        "sigma_units": ("i32", ctx.sigma_units),
+        "symbols": (_integer_type(quantised.symbols), quantised.symbols),
+        "attributes": ("f64", quantised.symbols * np.repeat(ctx.q, model.design.widths, axis=1)),
+    }
+    for section, members in NETWORK_SECTIONS.items():
+        present = {name: model.networks[name] for name in members if name in model.networks}
+        if present:
+            arrays[section] = "f32", network_numbers(present)
+    return arrays
+
+
+def _integer_type(array):
+    return "i32" if -(2**31) <= array.min() <= array.max() < 2**31 else "i64"
 
 
 def decoded(data):
@@ -57,46 +88,27 @@ def decoded(data):
 
     Raises BitstreamError.
     """
-    types = {**published.TYPES, "bit": bool}
-    arrays = published.expected(quantised_of(read_container(data)))
+    types = {**TYPES, "bit": bool}
+    arrays = arrays_of(quantised_of(read_container(data)))
     return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
 def check(port, names=None):
     """Return the results of all streams, or of those named, from a port or a folder of answers."""
     rows = read_rows()
-    results = [
+    return [
         judge(row, kind == "good", port.decode)
         for kind in ("good", "bad")
         for row in rows[kind]
         if names is None or row["name"] in names
     ]
-    return optional(results, {f"codec/{row['name']}" for row in rows["good"]})
-
-
-def optional(results, valid):
-    """Return the results; what a port leaves out of version 2 is not required if it reads none.
-
-    `valid` are the ids of the valid streams. A port leaves a stream out if it skips it, does not
-    answer, or refuses it although it is valid. A port that fails in any other way tried to read it.
-    """
-    coded = [r for r in results if r.id.startswith(VERSION_2)]
-    left = {
-        r.id
-        for r in coded
-        if r.verdict in ("skipped", "missing")
-        or (r.id in valid and r.verdict == "fail" and not r.findings)
-    }
-    if any(r.id in valid - left for r in coded):
-        return results
-    return [r._replace(verdict="skipped", required=False) if r.id in left else r for r in results]
 
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
     id, findings, explanation = f"codec/{row['name']}", [], ""
     try:
-        arrays, refused = decode(row["name"], (published.FOLDER / row["file"]).read_bytes())
+        arrays, refused = decode(row["name"], (STREAMS / row["file"]).read_bytes())
     except PortError as error:
         return Result(id, "codec", "L3", error.kind, error.kind != "absent", explanation=str(error))
     if good and refused is None:
@@ -123,11 +135,11 @@ def stored(row, entry):
     """Return an array of a good stream from its file of expected numbers."""
     shape, kind, at = entry["shape"], entry["type"], entry["offset"]
     count = int(np.prod(shape))
-    body = (published.FOLDER / row["expected"]).read_bytes()
+    body = (STREAMS / row["expected"]).read_bytes()
     if kind == "bit":
         bits = np.unpackbits(np.frombuffer(body, np.uint8, -(-count // 8), at), bitorder="little")
         return bits[:count].reshape(shape)
-    return np.frombuffer(body, published.TYPES[kind], count, at).reshape(shape)
+    return np.frombuffer(body, TYPES[kind], count, at).reshape(shape)
 
 
 def export(folder):
@@ -154,12 +166,12 @@ def write_streams(folder):
 
     What is found in them goes into `folder`/codec, as a port would write it.
     """
-    shutil.copytree(published.FOLDER, Path(folder) / "streams", dirs_exist_ok=True)
+    shutil.copytree(STREAMS, Path(folder) / "streams", dirs_exist_ok=True)
     place, refusals, rows = Path(folder) / "codec", {}, read_rows()
     place.mkdir(parents=True, exist_ok=True)
     for row in rows["good"] + rows["bad"]:
         try:
-            arrays = decoded((published.FOLDER / row["file"]).read_bytes())
+            arrays = decoded((STREAMS / row["file"]).read_bytes())
         except BitstreamError as error:
             refusals[row["name"]] = str(error)
         else:

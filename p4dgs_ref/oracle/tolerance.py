@@ -46,16 +46,11 @@ def answer_of(eq):
     return answer
 
 
-def cotangents_of(eq, outputs, seed, given=None):
-    """Return a cotangent for every float output: the given one, otherwise normal random numbers.
-
-    The seed is a string.
-    """
+def cotangents_of(eq, outputs, seed):
+    """Return normal random numbers as the cotangent of every float output. The seed is a string."""
     rng = np.random.default_rng(zlib.crc32(seed.encode()))
     floats = {n: a for n, a in outputs.items() if eq.gradients and np.asarray(a).dtype.kind == "f"}
-    # Drawn for the given ones too, which leaves the others as they are.
-    drawn = {f"{name}_bar": rng.standard_normal(np.shape(a)) for name, a in floats.items()}
-    return drawn | {name: bar for name, bar in (given or {}).items() if name in drawn}
+    return {f"{name}_bar": rng.standard_normal(np.shape(a)) for name, a in floats.items()}
 
 
 def scales(answer, inputs, cotangents, flat, seed):

@@ -238,7 +238,7 @@ const PORT = {
     drawn(p4dgs.decode(Uint8Array.from(tensors.stream.data)), tensors, settings),
 };
 
-/** The arrays of a decoded file, as published.py describes them. */
+/** The arrays of a decoded file, as the vectors' page describes them. */
 function arraysOf(model) {
   const { header, groups, columns } = model;
   const [A, k] = [header.anchors, header.k];

@@ -153,10 +153,8 @@
       sum(bits.slice(first, first + width)),
       "Eq. (11): bits = −log₂(Φ((v + q/2 − μ)/σ) − Φ((v − q/2 − μ)/σ))",
     ]);
-    const raw = "three coordinates of 16 bits, and the box; the mean of all anchors";
-    const sorted = "sorted on a lattice, gaps coded; the mean of all anchors";
-    const gaps = model.version === 1 ? raw : sorted;
-    parts.unshift(["position", position, gaps]);
+    const plain = "three coordinates of 16 bits, and the box; the mean of all anchors";
+    parts.unshift(["position", position, plain]);
     parts.push(["masks", masks, "Eq. (14): −log₂ of how frequent each flag is; the mean"]);
     const all = sum(parts.map(([, size]) => size));
     parts.push(["all", all, `of ${total.toLocaleString("en")} bits of the file`]);

@@ -1,4 +1,4 @@
-// A second implementation of P-4DGS: opens a .p4dgs file of version 1 or 2 and draws it.
+// A second implementation of P-4DGS: opens a .p4dgs file and draws it.
 //
 // Written from two pages alone: the file format (`python -m p4dgs_ref.codec` prints it) and the
 // vectors' page (`p4dgs_ref/oracle/v1/README.md`). It has no packages and needs no build: a page
@@ -36,14 +36,12 @@
     return v > 0 ? (words[1] >>> 20) - 1022 : 0;
   }
 
-  /** CRC-32 of parts of bytes: polynomial 0xEDB88320 (reflected), initial and final value ~0. */
-  function crc32(...parts) {
+  /** CRC-32 of bytes: polynomial 0xEDB88320 (reflected), initial and final value ~0. */
+  function crc32(bytes) {
     let crc = ~0;
-    for (const part of parts) {
-      for (const byte of part) {
-        crc ^= byte;
-        for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
-      }
+    for (const byte of bytes) {
+      crc ^= byte;
+      for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 && 0xedb88320);
     }
     return ~crc >>> 0;
   }
@@ -129,10 +127,8 @@
   const MAGIC = [0x89, 0x50, 0x34, 0x44, 0x0d, 0x0a, 0x1a, 0x0a];
   const SECTIONS = ["header", "positions", "features", "scales", "offset_scales", "offsets"];
   SECTIONS.push("masks", "hash_grid", "deformation_mlp", "anchor_mlps", "context_mlps");
-  // Of each version: byte 9 is from ... to, where the table begins, its bytes per unit of byte 9.
-  const FRAMES = { 1: [0, 11, 14, 9], 2: [1, 4, 10, 11] };
 
-  /** The version of a file and its sections, {name: bytes}; all checksums are right. */
+  /** The sections of a file, {name: bytes}; all checksums are right. */
   function openContainer(bytes) {
     const frame = new Section("container", bytes);
     const size = bytes.length;
@@ -140,43 +136,37 @@
     frame.need(size <= 2 ** 29, "expected at most 2^29 bytes", 10, "length");
     frame.need(MAGIC.every((byte, i) => bytes[i] === byte), "not a .p4dgs file", 0, "magic");
     const [version, n] = bytes.subarray(8, 10);
-    frame.need(version in FRAMES, `version ${version}, expected 1 or 2`, 8, "version");
-    const [least, most, begin, width] = FRAMES[version];
-    frame.need(least <= n && n <= most, `${n}, expected ${least} to ${most}`, 9, "table");
-    const end = begin + width * n + 4;
-    const length = version === 1 ? frame.integer(4, 10) : size;
-    frame.need(length === size && end <= size, "not the length of this file", 10, "length");
-    // The checksum of version 1 is that of the table alone, and the table is read behind it.
-    const crc = crc32(bytes.subarray(0, end - 4), version === 1 ? [] : bytes.subarray(end));
-    const right = crc === frame.integer(4, end - 4);
-    frame.need(right || version === 2, "the checksum of the table is wrong", end - 4, "checksum");
-    frame.at = begin;
-    const rows = readRows(frame, end - 4, version === 1 ? [1, 4, 4] : [0, n, 0]);
+    frame.need(version === 1, `version ${version}, expected 1`, 8, "version");
+    frame.need(n <= SECTIONS.length, `${n} sections, expected at most 11`, 9, "table");
+    const end = 18 + 9 * n;
+    const right = frame.integer(4, 10) === size && end <= size;
+    frame.need(right, "not the length of this file", 10, "length");
+    const crc = crc32(bytes.subarray(0, end - 4));
+    const same = crc === frame.integer(4, end - 4);
+    frame.need(same, "the checksum of the table is wrong", end - 4, "checksum");
+    const rows = readRows(frame, end - 4);
     const stored = end + total(rows.map((row) => row.length));
-    frame.need(stored === size, `the sections end at byte ${stored} of ${size}`, begin, "length");
-    frame.need(right, "the checksum of the file is wrong", end - 4, "checksum");
+    frame.need(stored === size, `the sections end at byte ${stored} of ${size}`, 14, "length");
     const sections = {};
     let at = end;
     for (const { name, length, crc } of rows) {
       sections[name] = bytes.subarray(at, (at += length));
-      const same = version === 2 || crc32(sections[name]) === crc;
+      const same = crc32(sections[name]) === crc;
       new Section(name).need(same, "the checksum is wrong", 0, "checksum");
     }
-    return { version, sections };
+    return sections;
   }
 
-  /** The rows of the table: of a section its id, length and checksum, in so many bytes. Without
-   *  ids all sections have a row, with the length plus 1, or 0 where there is no section. */
-  function readRows(frame, end, [ids, lengths, checksums]) {
+  /** The rows of the table, which ends at a byte: name, length and checksum of each section. */
+  function readRows(frame, end) {
     const rows = [];
+    frame.at = 14;
     for (let last = 0; frame.at < end; ) {
-      const id = ids ? frame.integer(ids) : last + 1;
+      const id = frame.integer(1);
       const follows = last < id && id <= SECTIONS.length;
       frame.need(follows, `section ${id} after ${last}`, frame.at - 1, "table");
+      rows.push({ name: SECTIONS[id - 1], length: frame.integer(4), crc: frame.integer(4) });
       last = id;
-      const length = frame.integer(lengths) - (ids ? 0 : 1);
-      const row = { name: SECTIONS[id - 1], length, crc: frame.integer(checksums) };
-      if (length >= 0) rows.push(row);
     }
     return rows;
   }
@@ -190,38 +180,28 @@
   const oneOf = (names) => (v) => names.includes(v);
   const list = (low, high, is) => (v) =>
     Array.isArray(v) && low <= v.length && v.length <= high && v.every((entry) => is(entry));
-  const widths = (low) => list(low, 8, whole(1, 2 ** 14));
+  const widths = list(0, 8, whole(1, 2 ** 14));
   const isLevel = (v) => oneOf(["xyz", "xy", "xz", "yz"])(v[0]) && whole(1, 2 ** 16)(v[1]);
   const level = (v) => Array.isArray(v) && v.length === 2 && isLevel(v);
   const distinct = (is) => (v) => is(v) && new Set(v).size === v.length;
-  const planes = (R) => ["xy", "xz", "yz"].flatMap((axes) => R.map((r) => [axes, r]));
-  const HAC_3D = [18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514].map((R) => ["xyz", R]);
-  const HAC_2D = planes([130, 258, 514, 1026]);
-  const MOVING = ["translation", "view_color", "occlusion", "background"];
-
-  // Every field: its values, then those that it has in the base designs "tiny" and "paper".
   const FIELDS = {
-    anchors: [whole(1, 2 ** 22)],
-    background: [list(3, 3, real(-(2 ** 20), 2 ** 20)), [1, 1, 1], [1, 1, 1]],
-    d: [whole(1, 4096), 16, 16],
-    k: [whole(1, 256), 4, 10],
-    hidden: [widths(0), [32, 32], [32, 32]],
-    deformation: [widths(0), [64, 64], [192, 192]],
-    L_x: [whole(1, 64), 4, 10],
-    L_t: [whole(1, 64), 4, 6],
-    context: [widths(0), [16, 16], [32, 32]],
-    grid: [list(1, 64, level), [["xyz", 8], ...planes([16])], [...HAC_3D, ...HAC_2D]],
-    table: [list(2, 2, whole(1, 2 ** 24)), [8192, 32768], [8192, 32768]],
-    F: [whole(1, 64), 2, 4],
-    Q_0: [list(4, 4, real(2 ** -100, 2 ** 100)), [0.25, 0.01, 0.01, 0.1], [1, 0.001, 0.001, 0.2]],
-    tau_alpha: [real(0, 1), 0, 0],
-    effects: [distinct(list(0, 7, oneOf(EFFECTS))), MOVING, EFFECTS],
-    position_bits: [whole(1, 16), 10, 16],
+    anchors: whole(1, 2 ** 22),
+    background: list(3, 3, real(-(2 ** 20), 2 ** 20)),
+    d: whole(1, 4096),
+    k: whole(1, 256),
+    hidden: widths,
+    deformation: widths,
+    L_x: whole(1, 64),
+    L_t: whole(1, 64),
+    context: widths,
+    grid: list(1, 64, level),
+    table: list(2, 2, whole(1, 2 ** 24)),
+    F: whole(1, 64),
+    Q_0: list(4, 4, real(2 ** -100, 2 ** 100)),
+    tau_alpha: real(0, 1),
+    effects: distinct(list(0, 7, oneOf(EFFECTS))),
   };
   const REAL = ["background", "Q_0", "tau_alpha"];
-  const inBases = Object.keys(FIELDS).filter((name) => FIELDS[name].length > 1);
-  const base = (i) => Object.fromEntries(inBases.map((name) => [name, FIELDS[name][i]]));
-  const BASES = new Map(Object.entries({ tiny: base(1), paper: base(2) }));
   const JSON_TOKEN = /"(?:[^"\\]|\\.)*"(\s*:)?|-?\d[\d.eE+-]*/g;
 
   /** The JSON object in a section. JSON.parse keeps the last of two equal keys and does not tell
@@ -244,18 +224,16 @@
     return fields;
   }
 
-  /** The checked header, completed by its base design. */
-  function readHeader(section, version) {
-    const { as, ...own } = parseHeader(section);
-    const base = version === 1 && as === undefined ? {} : BASES.get(version === 2 && as);
-    section.need(base, "field as: expected the name of a base design, in version 2 alone");
+  /** The checked header. */
+  function readHeader(section) {
+    const header = parseHeader(section);
     const plain = (v) => (Array.isArray(v) ? v.map(plain) : (v?.real ?? v));
-    for (const name of REAL) if (Object.hasOwn(own, name)) own[name] = plain(own[name]);
-    const header = { ...base, ...own };
-    const known = Object.keys(FIELDS).filter((name) => version === 2 || name !== "position_bits");
-    for (const name of known) section.need(Object.hasOwn(header, name), `no field ${name}`);
+    for (const name of REAL) if (Object.hasOwn(header, name)) header[name] = plain(header[name]);
+    for (const name of Object.keys(FIELDS)) {
+      section.need(Object.hasOwn(header, name), `no field ${name}`);
+    }
     for (const [name, value] of Object.entries(header)) {
-      const right = known.includes(name) && FIELDS[name][0](value);
+      const right = Object.hasOwn(FIELDS, name) && FIELDS[name](value);
       section.need(right, `field ${name} is unknown or wrong`);
     }
     return header;
@@ -456,46 +434,18 @@
 
   // --- positions --------------------------------------------------------------------------------
   /** The box {lo, hi}, the positions in it, 16 bits per coordinate, and x_a, [A, 3] each. */
-  function readPositions(section, { anchors, position_bits }, version) {
+  function readPositions(section, { anchors }) {
     const { bytes } = section;
-    section.needSize(version === 1 ? 24 + 6 * anchors : Math.max(bytes.length, 24));
+    section.needSize(24 + 6 * anchors);
     const view = new DataView(bytes.buffer, bytes.byteOffset, 24);
     const [lo, hi] = [0, 12].map((at) => [0, 4, 8].map((i) => view.getFloat32(at + i, true)));
     const right = lo.every((v, i) => -1e30 <= v && v <= hi[i] && hi[i] <= 1e30);
     section.need(right, `the box from ${lo} to ${hi}`, 0, "number");
     section.at = 24;
-    const axes = [2, 1, 0].filter((i) => lo[i] < hi[i]);
-    const read = () => Uint16Array.from({ length: 3 * anchors }, () => section.integer(2));
-    const positions = version === 1 ? read() : readSorted(section, anchors, position_bits, axes);
+    const positions = Uint16Array.from({ length: 3 * anchors }, () => section.integer(2));
     const step = (i) => (hi[i] - lo[i]) / 65535;
     const x_a = Float64Array.from(positions, (n, i) => lo[i % 3] + n * step(i % 3));
     return { lo, hi, positions, x_a };
-  }
-
-  /** Version 2: gaps between the codes of A positions in ascending order, on a lattice of B bits.
-   *  A code has one bit of each axis in turn, the lowest bit of the first one lowest. */
-  function readSorted(section, A, B, axes) {
-    const [begin, digits, L] = [section.at, axes.length * B, 2 ** B - 1];
-    const r = section.integer(1);
-    section.need(r <= digits, `${r} raw bits in gaps of ${digits}`, begin);
-    const gaps = Float64Array.from({ length: A }, () => section.bits(r));
-    const positions = new Uint16Array(3 * A);
-    let code = 0;
-    for (let a = 0; a < A; a++) {
-      code += gaps[a] + (section.gamma() - 1) * 2 ** r;
-      section.need(code < 2 ** digits, "the gaps add up to too much", begin);
-      const m = [0, 0, 0];
-      let rest = code;
-      for (let bit = 0; bit < B; bit++) {
-        for (const axis of axes) {
-          m[axis] += (rest % 2) * 2 ** bit;
-          rest = Math.floor(rest / 2);
-        }
-      }
-      m.forEach((v, i) => (positions[3 * a + i] = (65535 * v + Math.floor(L / 2)) / L));
-    }
-    section.end();
-    return positions;
   }
 
   // --- networks ---------------------------------------------------------------------------------
@@ -506,12 +456,11 @@
   };
 
   /** All networks, {name: [{I, J, W, b}, ...]}; those of no layers have no numbers in the file. */
-  function readNetworks(sections, shapes, version) {
+  function readNetworks(sections, shapes) {
     const networks = {};
     for (const [section, names] of Object.entries(NETWORKS)) {
       const layers = names.flatMap((name) => shapes[name]);
-      const read = version === 1 ? readFloat16 : readCoded;
-      const numbers = layers.length ? read(sections[section], layers) : [];
+      const numbers = layers.length ? readFloat16(sections[section], layers) : [];
       let at = 0;
       const take = (length) => numbers.subarray(at, (at += length));
       const layer = ([I, J]) => ({ I, J, W: take(I * J), b: take(J) });
@@ -520,7 +469,7 @@
     return networks;
   }
 
-  /** Version 1: numbers of 16 bits, of which 10 are the fraction and 5 the exponent. */
+  /** Numbers of 16 bits, of which 10 are the fraction and 5 the exponent. */
   function readFloat16(section, layers) {
     const count = total(layers.map(([I, J]) => I * J + J));
     section.needSize(2 * count);
@@ -531,39 +480,6 @@
       const size = e ? (1024 + m) * 2 ** (e - 25) : m * 2 ** -24;
       return bits & 0x8000 ? -size : size;
     });
-  }
-
-  /** Version 2, B1: integers times a step for each tensor, coded with scales of rows, columns. */
-  function readCoded(section, layers) {
-    const tensors = layers.flatMap(([I, J]) => [{ I, J, codes: I + J }, { I: J, J: 1, codes: 0 }]);
-    const size = section.bytes.length;
-    section.need(size >= 2 * tensors.length, "levels are missing", size, "length");
-    for (const tensor of tensors) {
-      const [s, t] = [section.integer(1), section.integer(1) - 8];
-      section.need(t <= 19, `a level of ${t}`, section.at - 1, "number");
-      Object.assign(tensor, { t, step: (16 + (s % 16)) * 2 ** (Math.floor(s / 16) - 19) });
-    }
-    const codes = new Int8Array(total(tensors.map((tensor) => tensor.codes)));
-    const table = gaussianTable(0, 0);
-    readMessage(section, codes.length, (i, slot) => {
-      const [block, entry] = findBlock(table, slot);
-      section.need(block < table.n, "a code beyond 13");
-      codes[i] = table.first + block;
-      return entry;
-    });
-    const [steps, sigma_units] = [[], []];
-    let at = 0;
-    for (const { I, J, t, step, codes: own } of tensors) {
-      for (let i = 0; i < I * J; i++) {
-        const scale = own ? codes[at + Math.floor(i / J)] + codes[at + I + (i % J)] : 0;
-        sigma_units.push(16 * clip(t + scale, -8, 19));
-        steps.push(step);
-      }
-      at += own;
-    }
-    const symbols = readGaussians(section, new Float64Array(steps.length), sigma_units);
-    section.need(largest(symbols) <= 32767, "a weight of more than 32767 steps", 0, "number");
-    return symbols.map((n, i) => n * steps[i]);
   }
 
   /** y = x W + b for `rows` rows, and ReLU(y) where the layer is hidden. */
@@ -707,13 +623,13 @@
   }
 
   // --- a file -----------------------------------------------------------------------------------
-  /** The model in a file of version 1 or 2. Throws Refused. */
+  /** The model in a file. Throws Refused. */
   function decode(bytes) {
-    const { version, sections: found } = openContainer(bytes);
+    const found = openContainer(bytes);
     const sections = {};
     for (const name of SECTIONS) sections[name] = new Section(name, found[name]);
     sections.header.need(found.header, "the section is missing", 0, "missing");
-    const header = readHeader(sections.header, version);
+    const header = readHeader(sections.header);
     const shapes = layersOf(header);
     const sizes = Object.entries(found).map(([name, body]) => [name, body.length]);
     checkLimits(sections.header, header, shapes, total(sizes.map(([, size]) => size)));
@@ -730,9 +646,9 @@
       { name: "O_a", section: "offsets", width: 3 * k, first: d + 6 },
     ];
     const columns = d + 6 + 3 * k;
-    const model = { version, header, groups, columns, bytes: Object.fromEntries(sizes) };
-    Object.assign(model, readPositions(sections.positions, header, version));
-    model.networks = readNetworks(sections, shapes, version);
+    const model = { header, groups, columns, bytes: Object.fromEntries(sizes) };
+    Object.assign(model, readPositions(sections.positions, header));
+    model.networks = readNetworks(sections, shapes);
     model.signs = readBits(sections.hash_grid, entriesOf(header));
     model.masks = readBits(sections.masks, A * k);
     Object.assign(model, codingContext(model));

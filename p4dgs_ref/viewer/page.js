@@ -21,7 +21,6 @@
   const state = {
     name: "",
     data: null, // the file's bytes
-    sections: {},
     model: null, // as it is in the file
     changed: null, // requantised: {model, bytes}, or null
     bits: null,
@@ -270,11 +269,11 @@
     const own = withContainer(state.model.bytes);
     const now = withContainer(state.changed ? state.changed.bytes : state.model.bytes);
     const names = Object.keys(own);
-    const { header, version } = state.model;
+    const { header } = state.model;
     $("file-says").replaceChildren(
       element("bdi", {}, state.name),
       `: ${whole(state.data.length)} bytes, ${whole(header.anchors)} anchors with up to ` +
-        `${header.k} children, version ${version} of the format`,
+        `${header.k} children`,
     );
     $("strip").replaceChildren(...names.map((name, i) => partOf(name, i, names.length, now)));
     const estimate = (size) => (state.changed ? [whole(size)] : []);
@@ -308,7 +307,6 @@
 
   const changes = () => ({
     coarser: 2 ** Number($("coarser").value),
-    dropped: Number($("dropped").value),
     masks: !$("no-masks").checked,
     context: !$("no-context").checked,
     weight: $("weight").checked,
@@ -318,9 +316,8 @@
   function change() {
     const how = changes();
     const isSame = Object.entries(requantise.UNCHANGED).every(([key, v]) => how[key] === v);
-    state.changed = isSame ? null : requantise.requantise(state.model, state.sections, how);
+    state.changed = isSame ? null : requantise.requantise(state.model, how);
     $("coarser-now").value = String(Number(how.coarser.toPrecision(2)));
-    $("dropped-now").value = String(how.dropped);
     $("unchanged").checked = false;
     drawStrip();
     compare();
@@ -328,7 +325,7 @@
   }
 
   function undo() {
-    for (const id of ["coarser", "dropped"]) $(id).value = "0";
+    $("coarser").value = "0";
     for (const id of BROKEN) $(id).checked = false;
     change();
   }
@@ -471,9 +468,8 @@
       refuse(name, large);
       return;
     }
-    const { sections } = p4dgs.openContainer(data);
     const size = state.model ? homeDistance(state.model) : Infinity;
-    Object.assign(state, { name, data, model, sections, bits: null, changed: null });
+    Object.assign(state, { name, data, model, bits: null, changed: null });
     Object.assign(state, { fewer: 1, spent: 0 });
     $("message").textContent = "";
     $("all").hidden = false; // the controls need a scene
@@ -660,7 +656,7 @@
     const drawn = ["shown", "layers", "level", "size", "canvas-path", "unchanged"];
     for (const id of drawn) on(id, "change", ask);
     const changeSoon = later(change, 30);
-    for (const id of ["coarser", "dropped", ...BROKEN]) on(id, "input", changeSoon);
+    for (const id of ["coarser", ...BROKEN]) on(id, "input", changeSoon);
     on("reset", "click", undo);
     on("anchor", "change", () => {
       const { value, max } = $("anchor");

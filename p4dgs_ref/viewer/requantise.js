@@ -61,17 +61,15 @@
   }
 
   // --- a coarser file ---------------------------------------------------------------------------
-  const UNCHANGED = { coarser: 1, dropped: 0, masks: true, context: true };
-  Object.assign(UNCHANGED, { weight: false, frequency: false });
+  const UNCHANGED = { coarser: 1, masks: true, context: true, weight: false, frequency: false };
 
   /** The model and the estimated bytes of each section, {model, bytes}.
    *
-   *  `coarser` multiplies every step q. `dropped` is the number of low bits that each weight of the
-   *  networks that draw loses. Without `masks` every child is in the file, and the offsets of those
-   *  that were not are the means of Eq. (12). Without `context` there is neither the hash grid nor
-   *  a context network: q = Q_0, and one mean and deviation for every column of attributes.
+   *  `coarser` multiplies every step q. Without `masks` every child is in the file, and the offsets
+   *  of those that were not are the means of Eq. (12). Without `context` there is neither the hash
+   *  grid nor a context network: q = Q_0, and one mean and deviation for every column of attributes.
    *  `weight` and `frequency` break psi_d, see below. */
-  function requantise(model, sections, changes) {
+  function requantise(model, changes) {
     const how = { ...UNCHANGED, ...changes };
     const bytes = { ...model.bytes };
     const masks = how.masks ? model.masks : new Uint8Array(model.masks.length).fill(MASKED);
@@ -84,7 +82,6 @@
       const table = how.context ? 0 : 4 * group.width; // two numbers of 16 bits a column
       bytes[group.section] += Math.round((after - before) / 8) + table;
     }
-    Object.assign(coarse, networks(model, sections, how.dropped, bytes));
     if (how.weight) coarse.networks = oneWeight(coarse);
     if (how.frequency) coarse.networks = oneFrequency(coarse);
     return { model: coarse, bytes };
@@ -136,31 +133,6 @@
     return [Math.round(mu_units), deviationUnits(Math.log2(deviation))];
   }
 
-  /** The networks that draw, whose weights lose their `dropped` low bits. */
-  function networks(model, sections, dropped, bytes) {
-    if (dropped === 0) return {};
-    const changed = { ...model.networks };
-    for (const section of ["anchor_mlps", "deformation_mlp"]) {
-      let [place, before, after] = [0, 0, 0]; // of a tensor in the section; bits of all
-      for (const name of p4dgs.NETWORKS[section]) {
-        changed[name] = model.networks[name].map((layer) => {
-          const coarse = { ...layer };
-          for (const tensor of ["W", "b"]) {
-            const step = stepOf(model.version, sections[section], place++, layer[tensor]);
-            const wide = step * 2 ** dropped;
-            coarse[tensor] = layer[tensor].map((w) => roundHalfEven(w / wide) * wide);
-            before += histogramBits(layer[tensor], step);
-            after += histogramBits(coarse[tensor], wide);
-          }
-          return coarse;
-        });
-      }
-      const share = before > 0 ? Math.min(after / before, 1) : 1;
-      if (bytes[section]) bytes[section] = Math.round(bytes[section] * share);
-    }
-    return { networks: changed };
-  }
-
   // --- broken -----------------------------------------------------------------------------------
   /** The networks with one weight 16 times as large, as if a bit of its exponent were wrong: the
    *  largest of the first head of psi_d, or of the last layer of psi_c where nothing moves. */
@@ -196,24 +168,6 @@
       return { ...layer, W, b };
     });
     return { ...networks, psi_d };
-  }
-
-  /** The step of a tensor's weights. Version 2 stores it; version 1 has floats of 11 bits. */
-  function stepOf(version, body, place, weights) {
-    if (version === 2) return (16 + (body[2 * place] % 16)) * 2 ** ((body[2 * place] >> 4) - 19);
-    const largest = weights.reduce((most, w) => Math.max(most, Math.abs(w)), 2 ** -24);
-    return 2 ** (Math.ceil(Math.log2(largest)) - 11);
-  }
-
-  /** The entropy of a tensor's integers, each as often as it occurs. */
-  function histogramBits(weights, step) {
-    const counts = new Map();
-    for (const w of weights) {
-      const v = Math.round(w / step);
-      counts.set(v, (counts.get(v) ?? 0) + 1);
-    }
-    const bits = (sum, count) => sum + count * Math.log2(weights.length / count);
-    return [...counts.values()].reduce(bits, 0);
   }
 
   /** PSNR in dB between two pictures of numbers from 0 to 255; infinite where they are equal. */

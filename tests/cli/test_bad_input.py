@@ -17,6 +17,7 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref import limits
+from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART
 from p4dgs_ref.report import figures
@@ -545,3 +546,13 @@ def test_names_reach_the_terminal_without_their_control_characters(place, run):
         code, out, err = run(line)
         assert code == 0 and out and (out + err).replace("\n", "").isprintable(), line
         assert line.startswith("evaluate") or "r\\x1b[2J" in out
+
+
+def test_a_command_whose_room_is_missing_is_one_line(monkeypatch, capsys):
+    def missing(name, package):
+        raise ModuleNotFoundError(name="p4dgs_ref.lab")
+
+    monkeypatch.setattr(cli, "import_module", missing)
+    assert cli.run(["stability"], 0.0) == 2
+    said = "p4dgs-ref: stability: p4dgs_ref.lab is not in this installation\n"
+    assert capsys.readouterr().err == said

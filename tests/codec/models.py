@@ -13,14 +13,17 @@ from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError, write_container
-from p4dgs_ref.designs import HAS_OURS, choose, fit, read_container, trainer_class
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.model import Gaussians, context, split
 from p4dgs_ref.scenes.files import read_ply
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
+from p4dgs_ref.training.fit import fit
+from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import assemble
+from tests.golden.damage import sections_in
 
 
 def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
@@ -29,11 +32,9 @@ def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
     `changes` replace fields of the preset.
     """
     rng = np.random.default_rng(seed)
-    base = choose(SMOKE, {"is_coded": True}) if "is_coded" in changes else SMOKE
-    preset = dataclasses.replace(base, deformation_gain=0.3, **changes)
-    kind = trainer_class(preset)
-    design = kind.design_of(preset, effects)
-    p = Parameters(kind.initial_parameters(preset, design, rng, points).arrays)
+    preset = dataclasses.replace(SMOKE, deformation_gain=0.3, **changes)
+    design = design_of(preset, effects)
+    p = Parameters(initial_parameters(preset, design, rng, points).arrays)
     last = f"psi_p.b{len(design.context)}"
     p[last][...] = rng.uniform(-5, 0.5, p[last].shape)  # raw deviations from fine to coarse
     means = np.repeat([0.0, 2.0, 0.0], (design.d, 6, 3 * design.k))
@@ -45,7 +46,7 @@ def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):
             p[name][:1] = -0.0  # zero of either sign counts as +1
     mask = rng.random((len(p["x_a"]), design.k)) < 0.75
     mask[0, 0] = True  # at least one anchor stays
-    model = kind.assemble(p, design, mask, None, rng.random(3))
+    model = assemble(p, design, mask, None, rng.random(3))
     ctx = exact_context(model)
     f, s, l, O = split(ctx.mu + ctx.sigma * rng.normal(size=ctx.mu.shape), design)
     return changed(model, f_a=f, s_a=s, l_a=l, O_a=O)
@@ -94,31 +95,6 @@ MAKE = {
 }
 
 
-def coded(bits=10, **changes):
-    """A model of the coded design."""
-    return random_model(**{"seed": 1, **changes}, is_coded=True, position_bits=bits)
-
-
-def in_one_place():
-    return np.full((9, 3), 0.25)
-
-
-def on_a_line():
-    return np.random.default_rng(3).uniform(-1, 1, (11, 3)) * [0, 1, 0] + [0.5, 0, -0.3]
-
-
-CODED = {
-    **{f"{bits} bits": lambda bits=bits: coded(bits) for bits in (1, 2, 5, 10, 16)},
-    "duplicates": lambda: coded(1, anchors=50),
-    "one anchor": lambda: coded(anchors=1, d=1, k=1),
-    "in a plane": lambda: coded(points=points_in_a_plane(6)),
-    "on a line": lambda: coded(16, points=on_a_line()),
-    "static": lambda: coded(effects=("view_color", "occlusion", "background")),
-    "without effects": lambda: coded(effects=()),
-}
-CODED = CODED if HAS_OURS else {}
-
-
 def refusal(read, *arguments):
     """The error by which damaged data are refused: one line, with the section and the byte."""
     with pytest.raises(BitstreamError) as caught:
@@ -163,8 +139,8 @@ def with_header(sections, **fields):
 
 
 def with_field(data, name, value):
-    """A file of version 1 with another value of a field of its header."""
-    return write_container(with_header(read_container(data), **{name: value}))
+    """A file with another value of a field of its header."""
+    return write_container(with_header(sections_in(data), **{name: value}))
 
 
 @contextlib.contextmanager
@@ -223,7 +199,7 @@ def read_gaussians(path):
 # What another process runs to decode the file in its first argument.
 DECODE_AND_PRINT = """
 import sys
-from p4dgs_ref.designs import decode, encode
+from p4dgs_ref.codec.file import decode, encode
 from tests.codec.models import digest
 data = open(sys.argv[1], "rb").read()
 model = decode(data)

@@ -1,27 +1,27 @@
-"""The container accounts for every byte and refuses every damage, in both versions.
+"""The container accounts for every byte and refuses every damage.
 
 Of a file with a wrong frame only the frame is read.
 """
 
 import struct
 import zlib
-from functools import partial
 
 import numpy as np
 import pytest
 
-from p4dgs_ref import designs
 from p4dgs_ref.codec import container
-from p4dgs_ref.codec.container import MAGIC, SECTIONS
-from p4dgs_ref.codec.published import FOLDER
-from p4dgs_ref.designs import layout, read_container, read_file
+from p4dgs_ref.codec.container import (
+    MAGIC,
+    SECTIONS,
+    layout,
+    read_container,
+    read_file,
+    write_container,
+)
+from p4dgs_ref.oracle.streams import STREAMS
 from tests.codec.models import flips, prefixes, refusal, traced
-from tests.golden import both
-from tests.golden.both import write_container
 
 EMPTY = write_container({})
-param = partial(pytest.param, marks=both.NEEDS_OURS)  # of version 2
-VERSIONS = pytest.mark.parametrize("version", both.VERSIONS)
 
 
 @pytest.fixture(scope="module")
@@ -31,84 +31,62 @@ def sections():
 
 
 def repaired(data):
-    """The same file of version 1 with the right checksum of header and section table."""
+    """The same file with the right checksum of header and section table."""
     end = 14 + 9 * data[9]
     return data[:end] + struct.pack("<I", zlib.crc32(data[:end])) + data[end + 4 :]
 
 
-@VERSIONS
-def test_round_trip_in_any_order(sections, version):
-    data = write_container(sections, version)
+def test_round_trip_in_any_order(sections):
+    data = write_container(sections)
     assert read_container(data) == sections
     assert list(read_container(data)) == list(SECTIONS)
-    assert write_container(dict(reversed(sections.items())), version) == data
+    assert write_container(dict(reversed(sections.items()))) == data
     some = {name: sections[name] for name in ("offsets", "header")}
     for fewer in (some, {}):
-        assert read_container(write_container(fewer, version)) == fewer
+        assert read_container(write_container(fewer)) == fewer
 
 
-@pytest.mark.parametrize(
-    "version, text",
-    [
-        (1, "01 01 1e 00 00 00 07 03 00 00 00 1d 80 bc 55 fb 2d 2b 50 01 02 03"),
-        param(2, "02 01 00 00 00 00 00 00 04 00 00 00 00 0e 09 9b f7 01 02 03"),
-    ],
-)
-def test_worked_numbers(version, text):
-    written = write_container({"masks": b"\1\2\3"}, version).hex(" ")
+def test_worked_numbers():
+    text = "01 01 1e 00 00 00 07 03 00 00 00 1d 80 bc 55 fb 2d 2b 50 01 02 03"
+    written = write_container({"masks": b"\1\2\3"}).hex(" ")
     assert written == f"89 50 34 44 0d 0a 1a 0a {text}"
-    page = container.__doc__ if version == 1 else designs.ours("file").__doc__
-    assert {1: "FB 2D 2B 50", 2: "0E 09 9B F7"}[version] in page
+    assert "FB 2D 2B 50" in container.__doc__
 
 
-@pytest.mark.parametrize("longest, w", [(0, 1), (254, 1), (255, 2), (65534, 2), (65535, 3)])
-def test_layout_names_every_byte(sections, longest, w):
-    sections = {**sections, "features": bytes(longest), "masks": b""}
-    frames = {1: (14, 9 * 11 + 4), 2: (10, 11 * w + 4)}
-    for version in both.VERSIONS:
-        head, table = frames[version]
-        rows = layout(write_container(sections, version))
-        assert rows[:2] == [("container_header", head), ("section_table", table)]
-        assert rows[2:] == [(name, len(body)) for name, body in sections.items()]
+def test_layout_names_every_byte(sections):
+    rows = layout(write_container(sections))
+    assert rows[:2] == [("container_header", 14), ("section_table", 9 * 11 + 4)]
+    assert rows[2:] == [(name, len(body)) for name, body in sections.items()]
 
 
-@VERSIONS
-def test_every_truncation_and_every_flipped_bit_is_refused(sections, version):
-    data = write_container(sections, version)
+def test_every_truncation_and_every_flipped_bit_is_refused(sections):
+    data = write_container(sections)
     for bad in (*prefixes(data), *flips(data)):
-        error = refusal(read_container, bad)
-        assert error.section == "container" or version == 1
+        refusal(read_container, bad)
 
 
 @pytest.mark.parametrize(
-    "version, change, at, message",
+    "change, at, message",
     [
-        (1, lambda d: b"\x88" + d[1:], 0, "magic"),
-        (1, lambda d: d.replace(b"\r\n", b"\n"), 0, "magic"),
-        (1, lambda d: d[:8] + b"\3" + d[9:], 8, "version 3"),
-        (1, lambda d: d[:9] + b"\xff" + d[10:], 9, "255 sections"),
-        (1, lambda d: d + b"\0", 10, "total length"),
-        (1, lambda d: b"", 0, "at least"),
-        (1, lambda d: repaired(d[:15] + bytes(4) + d[19:]), 14, "add up"),
-        (1, lambda d: repaired(d[:15] + b"\xff" * 4 + d[19:]), 14, "add up"),
-        (1, lambda d: EMPTY[:9] + b"\x0b" + EMPTY[10:], 113, "wrong checksum of header"),
+        (lambda d: b"\x88" + d[1:], 0, "magic"),
+        (lambda d: d.replace(b"\r\n", b"\n"), 0, "magic"),
+        (lambda d: d[:8] + b"\3" + d[9:], 8, "version 3"),
+        (lambda d: d[:9] + b"\xff" + d[10:], 9, "255 sections"),
+        (lambda d: d + b"\0", 10, "total length"),
+        (lambda d: b"", 0, "at least"),
+        (lambda d: repaired(d[:15] + bytes(4) + d[19:]), 14, "add up"),
+        (lambda d: repaired(d[:15] + b"\xff" * 4 + d[19:]), 14, "add up"),
+        (lambda d: EMPTY[:9] + b"\x0b" + EMPTY[10:], 113, "wrong checksum of header"),
         *(
-            (1, lambda d, n=n: repaired(d[:104] + bytes([n]) + d[105:]), 104, "ascending")
+            (lambda d, n=n: repaired(d[:104] + bytes([n]) + d[105:]), 104, "ascending")
             for n in (0, 12, 255)
         ),
-        (1, lambda d: repaired(d[:50] + d[41:50] + d[59:]), 50, "id 4 after 4"),
-        (1, lambda d: repaired(d[:14] + d[23:32] + d[14:23] + d[32:]), 23, "id 1 after 2"),
-        param(2, lambda d: d[:9] + b"\0" + d[10:], 9, "lengths of 0 bytes"),
-        param(2, lambda d: d[:9] + b"\5" + d[10:], 9, "lengths of 5 bytes"),
-        param(2, lambda d: d[:9] + b"\4" + d[10:30], 9, "lengths of 4 bytes"),
-        param(2, lambda d: d + b"\0", 10, "add up to"),
-        param(2, lambda d: d[:-1], 10, "add up to"),
-        param(2, lambda d: d[:-1] + bytes([d[-1] ^ 1]), 21, "wrong checksum"),
-        param(2, lambda d: d[:8] + b"\3" + d[9:], 8, "version 3, expected 1"),
+        (lambda d: repaired(d[:50] + d[41:50] + d[59:]), 50, "id 4 after 4"),
+        (lambda d: repaired(d[:14] + d[23:32] + d[14:23] + d[32:]), 23, "id 1 after 2"),
     ],
 )
-def test_refusals_name_the_place(sections, version, change, at, message):
-    error = refusal(read_container, change(write_container(sections, version)))
+def test_refusals_name_the_place(sections, change, at, message):
+    error = refusal(read_container, change(write_container(sections)))
     assert (error.section, error.offset) == ("container", at)
     assert message in error.message
 
@@ -132,7 +110,7 @@ def frame(total, rows=b""):
 
 def test_good_files_are_read_whole(tmp_path):
     path = tmp_path / "good.p4dgs"
-    for data in ((FOLDER / "full.p4dgs").read_bytes(), write_container({})):
+    for data in ((STREAMS / "full.p4dgs").read_bytes(), write_container({})):
         path.write_bytes(data)
         assert read_file(path) == data
 
@@ -147,11 +125,6 @@ def test_good_files_are_read_whole(tmp_path):
         (frame(2**29), 2**29, "the lengths of the sections add up to 18"),
         (frame(2**29)[:-1], 2**29, "wrong checksum"),
         (b"", 5, "not a P-4DGS file: expected at least 18 bytes"),
-        param(
-            MAGIC + b"\2\4" + struct.pack("<11I", 2**29 + 1, *[0] * 10) + bytes(4),
-            2**29 + 58,
-            "add up to",
-        ),
     ],
 )
 def test_only_the_frame_of_a_wrong_file_is_read(tmp_path, start, size, message):

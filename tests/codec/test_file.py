@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS
-from p4dgs_ref.designs import decode, encode, fit, quantised_of, read_container
+from p4dgs_ref.codec.container import read_container, write_container
+from p4dgs_ref.codec.file import (
+    ATTRIBUTE_SECTIONS,
+    NETWORK_SECTIONS,
+    decode,
+    encode,
+    quantised_of,
+)
+from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors, join
 from p4dgs_ref.report.inspect import components, ledger
 from p4dgs_ref.splatting.camera import look_at
+from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.presets import SMOKE, TINY
 from tests.codec.models import (
     MAKE,
@@ -20,7 +28,6 @@ from tests.codec.models import (
     digest,
     exact_context,
 )
-from tests.golden.both import quantise, write_container
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -54,7 +61,7 @@ def test_the_decoded_model_is_the_quantised_one_bit_for_bit(made):
     for name, a in arrays_of(quantised.model).items():
         assert found[name].strides == a.strides or not a.size, name
     assert repr(decoded.design) == repr(quantised.model.design)
-    again = quantised_of(data)
+    again = quantised_of(read_container(data))
     for name in ("positions", "symbols", "kept"):
         assert np.array_equal(getattr(again, name), getattr(quantised, name)), name
     assert all(map(np.array_equal, again.context, quantised.context))

@@ -1,6 +1,5 @@
 """Hostile files: every damage is refused, and the memory of decoding is bounded by the header."""
 
-import json
 from collections import Counter
 from datetime import date
 
@@ -8,21 +7,19 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec import container
-from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.codec.file import NETWORK_SECTIONS
+from p4dgs_ref.codec.container import BitstreamError, read_container, write_container
+from p4dgs_ref.codec.file import NETWORK_SECTIONS, decode, encode, quantised_of
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.header import declared_numbers
-from p4dgs_ref.codec.published import FOLDER
-from p4dgs_ref.codec.quantise import without_silent_units
+from p4dgs_ref.codec.quantise import quantise, without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
-from p4dgs_ref.designs import decode, encode, quantised_of, read_container
 from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
+from p4dgs_ref.oracle.streams import STREAMS, read_rows
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal, traced, with_header
 from tests.golden import fuzz
-from tests.golden.both import NEEDS_OURS, VERSIONS, quantise, write_container
-from tests.golden.damage import assemble, damage_header, mutation
+from tests.golden.damage import assemble, damage_header, mutation, sections_in
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
 
@@ -71,9 +68,9 @@ def test_a_mutation_is_always_the_same():
     files = fuzz.good_files()
     assert mutation(3, 17, files) == mutation(3, 17, files) != mutation(3, 18, files)
     for data in files:
-        sections = read_container(data).items()
+        sections = sections_in(data).items()
         rows = [(container.SECTIONS.index(name) + 1, body) for name, body in sections]
-        assert assemble(rows, data[8]) == data
+        assert assemble(rows) == data
 
 
 @pytest.mark.parametrize(
@@ -92,9 +89,9 @@ def test_a_faulty_decoder_is_noticed(monkeypatch, fault, found):
     """An exception, a warning, too much memory and too much time are failures."""
     monkeypatch.setattr(fuzz, "PATIENCE", 0.015 if found == "seconds" else 60)
 
-    def faulty(data):
-        fault(data)
-        return quantised_of(data)
+    def faulty(sections):
+        fault(sections)
+        return quantised_of(sections)
 
     monkeypatch.setattr(fuzz, "quantised_of", faulty)
     _, failures = fuzz.fuzz(12)
@@ -107,7 +104,7 @@ def test_a_faulty_decoder_is_noticed(monkeypatch, fault, found):
 
 def edited(rng, data):
     """A file with another header or other weights, a box without extent, or no children."""
-    sections = read_container(data)
+    sections = sections_in(data)
     name = rng.choice([name for name in NETWORK_SECTIONS if name in sections])
     box = np.frombuffer(sections["positions"], "<f4", 6).reshape(2, 3)
     flat, at = np.where(rng.random(3) < 0.5, box[0], box), 2 * rng.integers(len(sections[name]) / 2)
@@ -116,9 +113,9 @@ def edited(rng, data):
         {"masks": bytes(4), "offsets": b""},
         {name: sections[name][:at] + rng.bytes(2) + sections[name][at + 2 :]},
         {name: bytes(len(sections[name]))},
-        {"header": read_container(damage_header(rng, data, True)[1])["header"]},
+        {"header": sections_in(damage_header(rng, data, True)[1])["header"]},
     )
-    return write_container({**sections, **changes[rng.integers(5)]}, data[8])
+    return write_container({**sections, **changes[rng.integers(5)]})
 
 
 def kept(model):
@@ -133,15 +130,13 @@ def kept(model):
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
-    good = json.loads((FOLDER / "manifest.json").read_text(encoding="utf-8"))["good"]
-    files = [*DEMO, *(FOLDER / row["file"] for row in good)]
-    paths = [path for path in files if path.read_bytes()[8] in VERSIONS]
+    paths = [*DEMO, *(STREAMS / row["file"] for row in read_rows()["good"])]
     seed, seen = date.today().toordinal(), Counter()
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         data = edited(rng, paths[rng.integers(len(paths))].read_bytes())
         try:
-            q = quantised_of(data)
+            q = quantised_of(read_container(data))
         except BitstreamError:
             continue
         (lo, hi), expected = q.model.box, kept(q.model)
@@ -157,7 +152,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
         except OverflowError:
             assert lost, f"seed {seed}, mutant {i}"
             continue
-        found = quantised_of(again)
+        found = quantised_of(read_container(again))
         if lost:
             moved = np.abs(join(found.model.anchors) - join(expected.anchors))
             steps = np.repeat(found.context.q, expected.design.widths, axis=1)
@@ -182,7 +177,6 @@ def bytes_of_arrays(model):
 LARGE = {
     "anchors of paper_real": (20_000, REAL),
     "narrow": (60_000, dict(d=1, k=1)),
-    "narrow and coded": (60_000, dict(d=1, k=1, position_bits=16)),
     "wide features": (700, dict(d=4096)),
     "many children": (2000, dict(k=256)),
     "every level": (1500, dict(F=64, grid=(("xyz", 3),) * 64)),
@@ -234,7 +228,7 @@ def test_nothing_but_escapes_stays_within_its_memory():
 
 
 def test_megabytes_of_nonsense_cost_no_memory(least):
-    sections, much = read_container(least), bytes(2**24)
+    sections, much = sections_in(least), bytes(2**24)
     for name in sections:
         around = (sections[name] + much, much + sections[name])
         for body in (*around, b"[" * 2**24, b"[1," * 2**22, b"\xff" * 2**24):
@@ -243,14 +237,12 @@ def test_megabytes_of_nonsense_cost_no_memory(least):
                 refusal(decode, data)
 
 
-@NEEDS_OURS
 def test_hostile_headers_cost_no_memory():
     """Headers that declare more than the file holds are refused before arrays are allocated."""
-    first, second = (read_container(fuzz.good_files()[i]) for i in (1, 3))
+    first = sections_in(fuzz.good_files()[1])
     full = {"hash_grid": encode_bits(np.ones(1, bool)), "masks": encode_bits(np.ones(1, bool))}
     large = dict(F=64, grid=[["xyz", 63]], table=[2**24, 2**24])
-    for fields, where, *version in (
-        (dict(anchors=2**17), "positions", 2),
+    for fields, where in (
         (dict(anchors=2**18), "positions"),
         (dict(anchors=2**21), "header"),
         (dict(anchors=2**22), "header"),
@@ -264,8 +256,7 @@ def test_hostile_headers_cost_no_memory():
         (large, "header"),
         (dict(large, grid=[["xyz", 63]] * 2), "header"),
     ):
-        sections = second if version else {**first, **full}
-        data = write_container(with_header(sections, **fields), *version)
+        data = write_container(with_header({**first, **full}, **fields))
         with traced(2**20):
             assert refusal(decode, data).section == where, fields
 

@@ -5,9 +5,9 @@ import re
 import numpy as np
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec import published
 from p4dgs_ref.codec.__main__ import PICTURE, page
 from p4dgs_ref.equations import view
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.splatting import covariance, projection
 
 PLACE = (40.0, 40.0), (15.5, 11.5), (32, 24)  # focal lengths, principal point, size
@@ -19,7 +19,7 @@ def test_the_worked_numbers_are_those_of_the_package():
     assert text.strip() in page() and len(text.splitlines()) <= 80
     pairs = re.findall(r"^    (\w+) = \(?([-\d., ]+)\)?$", text, re.M)
     said = {name: np.array(numbers.split(","), float) for name, numbers in pairs}
-    model = p4.decode((published.FOLDER / "one_anchor.p4dgs").read_bytes())
+    model = p4.decode((STREAMS / "one_anchor.p4dgs").read_bytes())
     camera = p4.Camera(W, -W @ X_C, 40.0, 40.0, 15.5, 11.5, 32, 24)
     first, *_ = p4.model.predict(model.design, model.networks, model.anchors, X_C)
     g, (seen, _) = model.gaussians(0.5, camera), view.forward(model.anchors.x_a, X_C)

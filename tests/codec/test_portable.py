@@ -13,7 +13,7 @@ import scipy.special
 from p4dgs_ref.arithmetic import CHOSEN
 from p4dgs_ref.codec import context as integer_context
 from p4dgs_ref.codec.context import run_network, whole_layers
-from p4dgs_ref.designs import decode, encode
+from p4dgs_ref.codec.file import decode, encode
 from tests import processes
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
 from tests.golden import plain_decoder

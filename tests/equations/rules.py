@@ -3,7 +3,6 @@
 from collections import Counter
 
 import numpy as np
-import pytest
 
 from p4dgs_ref.table import Equation
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
@@ -96,7 +95,7 @@ def backward_is_linear_and_finite(eq, case):
 
 
 def in_float32(eq, case):
-    """The inputs of a case in float32; skips the test where float32 cannot hold them."""
+    """The inputs of a case in float32; None where there are none that float32 can hold."""
     with np.errstate(over="ignore"):
         single = {name: cast(a, np.float32) for name, a in case.inputs.items()}
     for name in eq.gradients:
@@ -109,13 +108,13 @@ def in_float32(eq, case):
         for b, c in zip(leaves(a), leaves(case.inputs[name]))
     ]
     held = all(np.isfinite(b).all() and np.array_equal(b == 0, c == 0) for b, c in pairs)
-    if not pairs or not held:
-        pytest.skip("no input, or magnitudes that float32 does not have")
-    return single
+    return single if pairs and held else None
 
 
 def float32_stays_float32(eq, case):
     single = in_float32(eq, case)
+    if single is None:
+        return
     outputs, saved = run(eq, single)
     cotangents = draw_cotangents(outputs, np.random.default_rng(4).standard_normal)
     gradients = eq.backward(saved, **cotangents)

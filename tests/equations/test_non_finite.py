@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.oracle.tolerance import answer_of, cotangents_of
-from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import case_of
 from tests.golden.shape_comments import arguments, outputs
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tests.golden.sixty_digits as sixty
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS
+from p4dgs_ref import EQUATIONS
 from tests.golden.cases import Case, case_of, cases_of
 from tests.golden.sixty_digits import functions as f
 from tests.golden.sixty_digits.errors import error
@@ -20,7 +20,7 @@ from tests.golden.sixty_digits.record import FILE, SAMPLES, measure, text
 from tests.sampling import few
 
 RECORDED = json.loads(FILE.read_text(encoding="utf-8"))["errors"]
-CASES = [(key, case.name) for key in ALL_EQUATIONS for case in cases_of(key)]
+CASES = [(key, case.name) for key in EQUATIONS for case in cases_of(key)]
 
 # Sixty digits: pi, e and log 2 as in OEIS A000796, A001113, A002162; all of them from mpmath 1.4
 # with 70 digits, which also agrees with every function here to 158 digits at a few hundred points.
@@ -288,9 +288,9 @@ def test_reference_at_many_elements_and_in_float32(key, name):
 
 
 def test_the_record_is_of_these_cases():
-    assert set(RECORDED) == set(ALL_EQUATIONS) == set(FORMULAS) - {"render"}
+    assert set(RECORDED) == set(EQUATIONS) == set(FORMULAS) - {"render"}
     assert {(key, name) for key, by in RECORDED.items() for name in by["float64"]} == set(CASES)
-    for key, eq in ALL_EQUATIONS.items():
+    for key, eq in EQUATIONS.items():
         assert set(eq.gradients) == set(FORMULAS[key][1])
 
 

@@ -111,7 +111,7 @@ const STEPS = [
   { shown: [], is: "page.state.playing && $('layer-paths').checked && $('layer-motion').checked" },
   { shown: ["coarser", "result", "trio"], is: "Number($('coarser').value) > 0" },
   { shown: ["anchor-guesses"], is: "$('anchor-guesses').querySelectorAll('.marked').length === 2" },
-  { shown: ["coarser", "result", "strip", "dropped"], is: "!$('legend').hidden" },
+  { shown: ["coarser", "result", "strip"], is: "!$('legend').hidden" },
   { shown: ["result", "trio", "weight", "frequency", "no-context"], is: "page.state.changed" },
 ];
 const PANELS = [...new Set(STEPS.flatMap(({ shown }) => shown))];
@@ -387,7 +387,7 @@ function checks() {
   damaged[4000] ^= 1;
   const bad = { "damaged.p4dgs": damaged, "foreign.p4dgs": "GIF89a".repeat(50) };
   for (const name of Object.keys(bad)) bad[name] = base64(bad[name]);
-  const streams = join(ROOT, "p4dgs_ref", "codec", "streams_v1");
+  const streams = join(ROOT, "p4dgs_ref", "oracle", "streams_v1");
   const rows = JSON.parse(readFileSync(join(streams, "manifest.json"), "utf8")).good;
   const good = rows.map(({ file }) => [file, base64(readFileSync(join(streams, file)))]);
   return { views, images, bad, good, large: base64(readFileSync(at("large.p4dgs"))) };

@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS
+from p4dgs_ref.table import EQUATIONS
 from tests.equations.rules import altered
 from tests.golden.mutate import rewritten
 
@@ -12,7 +12,7 @@ def edited(key, changes, helper=None):
 
     With `helper`, the text stands in that module, from which the equation imports functions.
     """
-    eq = ALL_EQUATIONS[key]
+    eq = EQUATIONS[key]
     names = rewritten(eq.module, {} if helper else changes)
     if helper:
         right, others = vars(import_module(helper)), rewritten(helper, changes)

@@ -2,7 +2,7 @@
 
 The files are the same bytes on every machine: their models are made of integers, and the only
 floating-point operations are products and sums that IEEE 754 rounds in one way. The format of the
-folder is described in `p4dgs_ref/codec/published.py`.
+folder is described in the README of the vectors.
 """
 
 import argparse
@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.codec.file import attribute_columns
-from p4dgs_ref.codec.published import FOLDER, TYPES, expected
+from p4dgs_ref.codec.container import write_container
+from p4dgs_ref.codec.file import attribute_columns, sections_of
 from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
-from tests.golden.both import sections_of, version_of, write_container
+from p4dgs_ref.oracle.streams import STREAMS, TYPES, arrays_of
 from tests.golden.conformance_bad import forgeries
 from tests.golden.conformance_good import GOOD
 
@@ -51,14 +51,14 @@ def files():
 def good_row(name, says, maker, contents):
     """The manifest's row of a good stream; adds its two files to `contents`."""
     quantised, sections = stream_of(maker)
-    data = write_container(sections, version_of(quantised.model))
+    data = write_container(sections)
     row = file_row(name, says, data, contents)
     row["header"] = json.loads(sections["header"])
     row["sections"] = {name: len(body) for name, body in sections.items()}
     row["expected"] = f"{row['name']}.bin"
     row["arrays"] = []
     body = b""
-    for name, (kind, array) in expected(quantised).items():
+    for name, (kind, array) in arrays_of(quantised).items():
         part = array_bytes(kind, array)
         entry = {"name": name, "type": kind, "shape": list(array.shape), "offset": len(body)}
         row["arrays"].append({**entry, "sha256": hashlib.sha256(part).hexdigest()})
@@ -120,7 +120,7 @@ def main(arguments=None):
         "-o",
         metavar="DIR",
         type=Path,
-        default=FOLDER,
+        default=STREAMS,
         help="where to write (default: the folder of published streams in the package)",
     )
     folder = parser.parse_args(arguments).o

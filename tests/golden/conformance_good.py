@@ -7,10 +7,8 @@ import numpy as np
 
 from p4dgs_ref.codec.context import coding_context
 from p4dgs_ref.codec.quantise import Quantised, coded_columns
-from p4dgs_ref.designs import ours
-from p4dgs_ref.model import Anchors, Design, split, unsnap
+from p4dgs_ref.model import Anchors, Design, Model, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from tests.golden.both import design_of, model_of
 
 BASE = Design(
     d=2,
@@ -45,16 +43,11 @@ class Draw:
         return np.array(numbers, np.int64).reshape(shape)
 
 
-def steps_of(layers):
-    """The codes of 1/512 for the weights and of 1/1024 for the biases of so many layers."""
-    return np.full(len(layers), 96), np.full(len(layers), 80)
-
-
 class Parts:
     """The parts of a stream before its context is computed; a maker below changes what it tests."""
 
     def __init__(self, seed, anchors=4, **changes):
-        self.draw, self.design = Draw(seed), design_of({**vars(BASE), **changes})
+        self.draw, self.design = Draw(seed), Design(**{**vars(BASE), **changes})
         self.positions = self.draw(0, 65535, anchors, 3)
         self.box = np.array([-1.5, -1.0, 0.25], np.float32), np.array([1.5, 2.0, 1.75], np.float32)
         self.mask = self.draw(0, 3, anchors, self.design.k) > 0
@@ -106,56 +99,8 @@ class Parts:
         f, s, l, O = split(symbols * np.repeat(ctx.q, self.design.widths, axis=1), self.design)
         anchors = Anchors(unsnap(self.positions, *self.box), f, s, l, O, self.mask)
         background = np.array([0.25, 0.5, 1.0])
-        steps = {name: steps_of(W) for name, (W, _) in self.networks.items()}
-        arrays = anchors, self.networks, self.grids, self.box, background
-        model = model_of(self.design, *arrays, steps=steps)
+        model = Model(self.design, anchors, self.networks, self.grids, self.box, background)
         return Quantised(model, self.positions, symbols, kept, ctx)
-
-
-def coded_parts(seed, bits, lattice=None, box=None, anchors=9, **changes):
-    """Parts of version 2, with random points or `lattice` [A, 3] on a lattice of `bits` bits."""
-    parts = Parts(seed, anchors, position_bits=bits, **changes)
-    m = parts.draw(0, 2**bits - 1, anchors, 3) if lattice is None else np.array(lattice)
-    parts.box = box or parts.box
-    positions = ours("positions")
-    points = positions.of_16_bits(m, bits)
-    parts.positions = points[positions.codes_of(points, parts.box, bits).argsort(kind="stable")]
-    return parts
-
-
-def coded_sixteen_bits():
-    corners = [[0, 0, 0], [65535] * 3, [65535, 0, 32768], [32767, 32768, 1], [0, 65535, 65534]]
-    return coded_parts(32, 16, corners, anchors=5)
-
-
-def coded_nowhere():
-    lo = np.array([-1.5, -1.0, 0.25], np.float32)
-    return coded_parts(33, 10, np.zeros((3, 3), int), (lo, lo), anchors=3)
-
-
-def coded_flat():
-    lo, hi = np.array([-1.5, -1.0, 0.25], np.float32), np.array([-1.5, 2.0, 1.75], np.float32)
-    flat = [[0, 5, 7], [0, 31, 31], [0, 0, 30], [0, 5, 7], [0, 16, 15]]
-    return coded_parts(34, 5, flat, (lo, hi), anchors=5)
-
-
-def coded_as_tiny():
-    """A header that leaves all to its base but the number of anchors and what moves."""
-    tiny = dict(
-        d=16,
-        k=4,
-        hidden=(2,),
-        deformation=(2,),
-        context=(2,),
-        L_x=4,
-        L_t=4,
-        F=2,
-        grid=(("xyz", 8), ("xy", 16), ("xz", 16), ("yz", 16)),
-        table=(2**13, 2**15),
-        Q_0=(0.25, 0.01, 0.01, 0.1),
-        effects=("translation", "view_color", "occlusion", "background"),
-    )
-    return coded_parts(35, 10, anchors=2, **tiny)
 
 
 def one_anchor():
@@ -421,19 +366,4 @@ GOOD = {
     "deviations": ("raw sigma at the edges of its rounding", deviations),
     "ties": ("weights half-way between two fixed-point integers: to even", ties),
     "full": ("every effect, every section", full),
-    "coded_ten_bits": (
-        "version 2: nine positions of ten bits, sorted",
-        lambda: coded_parts(30, 10),
-    ),
-    "coded_one_bit": (
-        "version 2: twelve positions of one bit, some in the same place",
-        lambda: coded_parts(31, 1, anchors=12),
-    ),
-    "coded_sixteen_bits": (
-        "version 2: positions of 16 bits, the least and the largest code",
-        coded_sixteen_bits,
-    ),
-    "coded_nowhere": ("version 2: three positions in a box without extent", coded_nowhere),
-    "coded_flat": ("version 2: a box without extent along x, two equal positions", coded_flat),
-    "coded_as_tiny": ("version 2: most fields are those of the base design", coded_as_tiny),
 }

@@ -12,9 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.codec.container import MAGIC, SECTIONS
-from p4dgs_ref.designs import layout, ours, read_container
-from tests.golden.both import write_container
+from p4dgs_ref.codec.container import MAGIC, SECTIONS, layout, read_container, write_container
 
 # Values that a field of the header is set to, whatever its type.
 VALUES = [
@@ -33,6 +31,11 @@ class Mutation(NamedTuple):
     original: bytes  # the good file it was made from
 
 
+def sections_in(data):
+    """The sections of a file, {name: bytes}."""
+    return {name: bytes(body) for name, body in read_container(data).items()}
+
+
 def mutation(seed, i, files):
     """Mutation number i of a seed, of one of several good files: the same on every machine."""
     rng = np.random.default_rng([seed, i])
@@ -48,10 +51,10 @@ def damage_bytes(rng, data, repaired):
     operation = operations[rng.integers(8)]
     if not repaired:
         return operation.__name__, operation(rng, data)
-    sections = read_container(data)
+    sections = sections_in(data)
     name = [*sections][rng.integers(len(sections))]
     sections[name] = operation(rng, sections[name])
-    return operation.__name__, write_container(sections, data[8])
+    return operation.__name__, write_container(sections)
 
 
 def stretch(rng, data):
@@ -106,7 +109,7 @@ def damage_sections(rng, data, repaired):
 
     Raw: the section table still describes the old order.
     """
-    rows = [(SECTIONS.index(name) + 1, body) for name, body in read_container(data).items()]
+    rows = [(SECTIONS.index(name) + 1, body) for name, body in sections_in(data).items()]
     kinds = ("sections exchanged", "bodies exchanged", "section twice", "section missing")
     what = kinds[rng.integers(4)]
     end, (i, j) = frame_of(data), rng.choice(len(rows), 2, replace=False)
@@ -119,7 +122,7 @@ def damage_sections(rng, data, repaired):
     else:
         del rows[i]
     if repaired:
-        return what, assemble(rows, data[8])
+        return what, assemble(rows)
     return what, data[:end] + b"".join(body for _, body in rows)
 
 
@@ -128,16 +131,9 @@ def frame_of(data):
     return sum(size for _, size in layout(data)[:2])
 
 
-def assemble(rows, version):
-    """A container of any rows (id, body) in any order, with valid lengths and checksums.
-
-    In version 2, where a section cannot stand twice, the lengths are those of the last rows.
-    """
-    if version == 2:
-        bodies = b"".join(body for _, body in rows)
-        head = write_container({SECTIONS[i - 1]: body for i, body in rows}, 2)
-        return resealed(head[: frame_of(head)] + bodies)
-    return framed([(i, len(body), body) for i, body in rows], version=version)
+def assemble(rows):
+    """A container of any rows (id, body) in any order, with valid lengths and checksums."""
+    return framed([(i, len(body), body) for i, body in rows])
 
 
 def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
@@ -150,39 +146,25 @@ def framed(rows, magic=MAGIC, version=1, total=None, tail=b""):
     return head + struct.pack("<I", zlib.crc32(head)) + bodies
 
 
-def resealed(data):
-    """A file of version 2 with the checksum that belongs to its bytes."""
-    at = 10 + 11 * data[9]
-    crc = zlib.crc32(data[:at] + data[at + 4 :])
-    return data[:at] + crc.to_bytes(4, "little") + data[at + 4 :]
-
-
 def damage_table(rng, data, repaired):
     """One field of the container header or the section table; repaired: with a valid checksum."""
     end = frame_of(data) - 4
-    fields = [(0, 8), (8, 1), (9, 1)]  # (offset, bytes)
-    if data[8] == 2:
-        fields += [(at, data[9]) for at in range(10, end, data[9])]
-    else:
-        fields.append((10, 4))
-        for row in range(14, end, 9):
-            fields += [(row, 1), (row + 1, 4), (row + 5, 4)]
+    fields = [(0, 8), (8, 1), (9, 1), (10, 4)]  # (offset, bytes)
+    for row in range(14, end, 9):
+        fields += [(row, 1), (row + 1, 4), (row + 5, 4)]
     at, size = fields[rng.integers(len(fields))]
     old = int.from_bytes(data[at : at + size], "little")
     values = [0, 1, old + 1, old - 1, old + 9, 2**31, 2**32 - 1, int(rng.integers(2**32))]
     new = values[rng.integers(8)] % 256**size
     head = data[:at] + new.to_bytes(size, "little") + data[at + size : end]
-    covered = head + data[end + 4 :] if data[8] == 2 else head
-    crc = zlib.crc32(covered).to_bytes(4, "little") if repaired else data[end : end + 4]
+    crc = zlib.crc32(head).to_bytes(4, "little") if repaired else data[end : end + 4]
     return "table field", head + crc + data[end + 4 :]
 
 
 def damage_header(rng, data, repaired):
     """One to three fields of the JSON header get another value or a near one, or are removed."""
-    sections = read_container(data)
+    sections = sections_in(data)
     fields = json.loads(sections["header"])
-    if data[8] == 2:
-        fields = {**ours("file").BASES[fields["as"]], **fields}
     for name in rng.choice([*fields], int(rng.integers(1, 4)), replace=False):
         how = rng.random()
         if how < 0.1:
@@ -193,7 +175,7 @@ def damage_header(rng, data, repaired):
             fields[name] = VALUES[rng.integers(len(VALUES))]
     header = json.dumps(fields, separators=(",", ":")).encode()
     if repaired:
-        return "header field", write_container({**sections, "header": header}, data[8])
+        return "header field", write_container({**sections, "header": header})
     start = frame_of(data)
     return "header field", data[:start] + header + data[start + len(sections["header"]) :]
 

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from p4dgs_ref.codec import published, rans
+from p4dgs_ref.codec import rans
 from p4dgs_ref.codec.container import write_container
 from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, attribute_columns, sections_of
 from p4dgs_ref.codec.gaussian_table import SIGMA_MAX, SIGMA_MIN, gaussian_model
@@ -19,6 +19,7 @@ from p4dgs_ref.codec.header import write_header
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import find_entries
 from p4dgs_ref.model import Anchors, Design, Model
+from p4dgs_ref.oracle import streams
 from tests.golden.cases import Case
 from tests.golden.flat import NETWORKS, flat_networks, networks_of, shapes_of
 from tests.golden.sample_model import sample_model
@@ -67,7 +68,7 @@ def quantiser_vjp(**inputs):
     """
     others, networks = apart(inputs)
     quantised = quantise(model_of(**others, networks=networks))
-    arrays = {name: a for name, (_, a) in published.expected(quantised).items()}
+    arrays = {name: a for name, (_, a) in streams.arrays_of(quantised).items()}
     names = ("positions", "signs", "h", "q_units", "mu_units", "sigma_units", "symbols")
     outputs = {name: np.asarray(arrays[name]).astype(np.int32) for name in names}
     return {**outputs, "kept": quantised.kept}, no_pullback

@@ -6,10 +6,6 @@ CULLED = (
     "because its results are replaced by zeros"
 )
 SYMMETRIC = "Sigma is symmetric in the domain, so its transpose is itself"
-ONE = "an array of ones is divided by instead of multiplied"
-DEGREES = "the number of coefficients is 1, 4, 9 or 16"
-LAST = "on and beyond the upper face both nodes of a cell are the last one, so its slope is 0"
-COUNTED = "the equation takes only the number of heads from here, their widths from the weights"
 BORDER = "at the border both formulas have all their digits"
 
 EQUIVALENT = {
@@ -27,7 +23,6 @@ EQUIVALENT = {
     "likelihood:slopes:gt-gte:1": BORDER,
     "likelihood:slopes:float:1": "between 0.5 and 0.505 both formulas have all their digits",
     "likelihood:narrow_bin:int:11": "three millionths of a term that is at most 4e-11",
-    "weight_bits:forward:lt-lte:1": BORDER,
     "hash_rate:forward:swap-arguments:1": "the entropy of two counts is symmetric in them",
     "mlp:backward:gt-gte:1": "a product that `needs_x=False` saves is computed, but not used",
     "projection:forward:float:4": CULLED,
@@ -44,30 +39,5 @@ EQUIVALENT = {
     "projection:backward:swap-arguments:12": SYMMETRIC,
     "projection:halved:int:1": CULLED,
     "projection:cross:swap-items:5": "n and both products with it change their signs",
-    "sh_color:backward:gte-gt:1": (
-        "differs where the colour is exactly 0, which the last digit of a constant decides"
-    ),
-    "sh_color:basis:mult-div:1": ONE,
-    "sh_color:basis:mult-div:3": ONE,
-    "sh_color:basis:mult-div:5": ONE,
-    "sh_color:basis:mult-div:7": ONE,
-    "sh_color:basis:gt-gte:1": DEGREES,
-    "sh_color:basis:int:1": DEGREES,
-    "sh_color:basis:gt-gte:2": DEGREES,
-    "sh_color:basis:int:8": DEGREES,
-    "deformation_d3dgs:skip_layer:int:2": "the skip comes after the middle, so never to layer 1",
-    "deformation_d3dgs:backward:true-false:3": (
-        "a product that `needs_x=False` saves is computed, but not used"
-    ),
-    "plane_features:forward:int:1": "all planes have the same number of features",
-    "plane_features:forward:int:13": "the size is a multiple of 4, and so is the last start",
-    "plane_features:forward:lt-lte:1": LAST,
-    "plane_features:forward:int:19": LAST,
-    "plane_decoder:HEADS:swap-items:1": COUNTED,
-    "plane_decoder:HEADS:int:1": COUNTED,
-    "plane_decoder:HEADS:int:2": COUNTED,
-    "plane_decoder:HEADS:int:3": COUNTED,
-    "plane_losses:forward:int:2": "all planes have the same precision",
-    "spherindrical:backward:true-false:1": ORDER,
     "window:WINDOW:sub-add:1": "two more zeros at the end of every row, which no slice reaches",
 }

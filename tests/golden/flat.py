@@ -1,4 +1,4 @@
-"""The flat inputs of stages and of the pipeline.
+"""The flat inputs of stages and of the pipeline, and the published cases of both.
 
 A network is two inputs, psi_c_weights [(I, J), ...] and psi_c_biases [(J,), ...]. A camera is five:
 W (3, 3) and T (3,) from world to camera, and focal, center, size (2,) in pixels, x before y.
@@ -7,7 +7,10 @@ W (3, 3) and T (3,) from world to camera, and focal, center, size (2,) in pixels
 import numpy as np
 
 from p4dgs_ref.model import Design
+from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.splatting.camera import Camera
+from tests.golden.cases import Case
 
 NETWORKS = ("psi_alpha", "psi_c", "psi_r", "psi_s", "psi_d", "psi_p", "psi_q")
 CAMERA_SHAPES = {"W": "3 3", "T": "3", "focal": "2", "center": "2", "size": "2"}
@@ -75,3 +78,20 @@ def described(camera):
         center=np.array([camera.c_x, camera.c_y]),
         size=np.array([camera.width, camera.height]),
     )
+
+
+def as_published(key):
+    """Return a function that yields the published cases of a subject as Cases, in float64.
+
+    Their inputs were drawn once by random numbers that mean nothing; the vectors hold them.
+    """
+
+    def cases():
+        for case in published.cases(key):
+            inputs, cotangents = (
+                cast(case.inputs(), np.float64),
+                cast(case.cotangents(), np.float64),
+            )
+            yield Case(case.name, inputs, tuple(case.record["flags"]), cotangents=cotangents)
+
+    return cases

@@ -16,26 +16,21 @@ inputs.
     backward the clamp passes the gradient, and what was skipped or cut has none
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref import model
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import PAPER
 from tests.golden import stages
-from tests.golden.cases import Case
-from tests.golden.flat import CAMERA_SHAPES, camera_of, described
-from tests.golden.pipeline import FRONT, golden_model
+from tests.golden.flat import CAMERA_SHAPES, as_published, camera_of
 from tests.golden.subjects import Subject, no_pullback
 
 TILE, MASK, STOP, ALPHA_MAX = 16, 1 / 255, 1e-4, 0.99
 CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}
 SPLATS = ("mean2d", "conic", "alpha", "color")
-PIXELS = 12  # of each case, whose splats are shown one by one
 
 
 class Lists(NamedTuple):
@@ -274,206 +269,7 @@ def stage_surrogate(**base):
     return lambda **moved: smooth(**of_kernel(**moved))
 
 
-# --- the cases ----------------------------------------------------------------------------------
-# How far every decision stays from its threshold, so that float32 decides alike.
-PLACE_MARGIN, MASK_MARGIN, STOP_MARGIN = 2e-3, 2e-4, 3e-3
-
-
-def single(a):
-    """Return an array rounded to float32, as float64."""
-    return np.float32(a).astype(float)
-
-
-def unsettled(inputs):
-    """Return the rows whose splats decide something within a margin."""
-    a, b, c = inputs["cov2d"].T
-    middle = (a + c) / 2
-    radius = 3 * np.sqrt(middle + np.sqrt(np.maximum(0.1, middle**2 - (a * c - b * b))))
-    edges = [(inputs["mean2d"] + sign * np.ceil(radius)[:, None]) % TILE for sign in (-1, 1)]
-    near = [np.abs(radius - np.round(radius)) < PLACE_MARGIN]
-    for edge in edges:  # the quotients of both ends jump at whole tiles, and at 1 mod 16
-        near += [(np.abs((edge - at + 8) % TILE - 8) < PLACE_MARGIN).any(axis=1) for at in (0, 1)]
-    close = np.logical_or.reduce(near) & inputs["visible"]
-    (_, _, _), tiles = composite(**inputs)
-    for tile in tiles:
-        clamped = np.minimum(tile.raw, ALPHA_MAX)
-        faint = np.abs(clamped / MASK - 1) < MASK_MARGIN
-        would = tile.before * (1 - clamped) / STOP
-        drawn = clamped >= MASK
-        stops = (np.abs(would - 1) < STOP_MARGIN) & drawn
-        past = np.cumsum((would < 1) & drawn, axis=0) > (would < 1)  # the pixel had ended before
-        close[tile.rows[((faint | stops) & ~past).any(axis=1)]] = True
-    return np.flatnonzero(close)
-
-
-def settled(rng, inputs):
-    """Return the inputs with other splats where something was unsettled."""
-    for _ in range(1000):
-        rows = unsettled(inputs)
-        if not len(rows):
-            return inputs
-        inputs["alpha"][rows] = single(inputs["alpha"][rows] * rng.uniform(0.97, 1, len(rows)))
-        moved = inputs["mean2d"][rows] + rng.uniform(-0.02, 0.02, (len(rows), 2))
-        inputs["mean2d"][rows] = single(moved)
-        wider = rng.uniform(1, 1.01, (len(rows), 1))
-        inputs["cov2d"][rows] = single(inputs["cov2d"][rows] * wider)
-        inputs["conic"][rows] = single(inputs["conic"][rows] / wider)
-    raise ValueError("no settled splats found")
-
-
-def splats(rng, N, height, width, sigma, alpha, depth):
-    """Return random splats whose numbers are all float32; some lie off the image."""
-    angle, (long, short) = rng.uniform(0, np.pi, N), np.exp(rng.uniform(*np.log(sigma), (2, N)))
-    cos, sin = np.cos(angle), np.sin(angle)
-    off_diagonal = (long**2 - short**2) * cos * sin
-    cov2d = single(
-        np.stack(
-            [
-                (long * cos) ** 2 + (short * sin) ** 2 + 0.3,
-                off_diagonal,
-                (long * sin) ** 2 + (short * cos) ** 2 + 0.3,
-            ],
-            axis=1,
-        )
-    )
-    a, b, c = cov2d.T
-    inputs = dict(
-        mean2d=single(rng.uniform((-6, -6), (width + 6, height + 6), (N, 2))),
-        cov2d=cov2d,
-        conic=single(np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]),
-        alpha=single(rng.uniform(*alpha, N).clip(max=1)),
-        color=single(rng.random((N, 3))),
-        depth=single(depth),
-        visible=rng.random(N) < 0.95,
-        background=single([0.85, 0.15, 0.4]),
-        height=height,
-        width=width,
-    )
-    return settled(rng, inputs)
-
-
-def in_layers(rng, N, layers):
-    """Return depths of which many are equal, and some differ in float32's last bit alone."""
-    depth = np.float32(1 + rng.integers(0, layers, N) / 8)
-    return np.where(rng.random(N) < 0.2, np.nextafter(depth, np.float32(99)), depth)
-
-
-# Name, seed, arguments of `splats` but for the depths, the depths, and flags.
-SMALL = (
-    (
-        ("ordinary", 251, (61, 28, 40, (0.6, 4.5), (0.02, 0.9))),
-        lambda rng, N: rng.uniform(0.5, 4, N),
-        ("ordinary",),
-    ),
-    (
-        ("equal_depths", 252, (45, 19, 22, (1, 4), (0.05, 0.7))),
-        lambda rng, N: in_layers(rng, N, 3),
-        ("order",),
-    ),
-    (
-        ("opaque", 253, (44, 21, 18, (2, 9), (0.7, 1.4))),
-        lambda rng, N: rng.uniform(1, 2, N),
-        ("opaque", "clamped"),
-    ),
-)
-
-
-def small_splats():
-    """Yield (name, splats, flags) of the small cases."""
-    for (name, seed, drawn), depth, flags in SMALL:
-        rng = np.random.default_rng(seed)
-        yield name, splats(rng, *drawn, depth(rng, drawn[0])), flags
-    yield "both_clamps", clamped_splats(), ("clamped",)
-
-
-def clamped_splats():
-    """Return three splats: of exponents above 0, of an opacity above 0.99, and an ordinary one.
-
-    The first is as faint that neither who skips it, as the published kernel does, nor who takes 0
-    for its exponent draws it.
-    """
-    return dict(
-        mean2d=np.array([[1.5, 1.5], [1, 1], [2, 1]]),
-        cov2d=single([[100, -99, 100], [2.6, -0.5, 2.1], [5.2, 0.9, 3.5]]),
-        conic=single([[0.25, 0.5, 0.25], [0.4, 0.1, 0.5], [0.2, -0.05, 0.3]]),
-        alpha=single([0.0035, 1, 0.6]),
-        color=single([[0.2, 0.9, 0.5], [0.9, 0.3, 0.1], [0.4, 0.6, 0.8]]),
-        depth=np.array([0.5, 1, 2]),
-        visible=np.ones(3, bool),
-        background=single([0.85, 0.15, 0.4]),
-        height=3,
-        width=4,
-    )
-
-
-@cache
-def many_splats():
-    """Return 2,000 splats, most of which share their depth with others."""
-    rng = np.random.default_rng(254)
-    return splats(rng, 2000, 40, 48, (0.4, 1.7), (0.05, 1), in_layers(rng, 2000, 64))
-
-
 LISTED = ("mean2d", "cov2d", "depth", "visible", "height", "width")
-
-
-def lists_cases():
-    for name, inputs, flags in small_splats():
-        if name not in ("opaque", "both_clamps"):
-            yield Case(name, {key: inputs[key] for key in LISTED}, flags)
-    yield Case("sorting", {key: many_splats()[key] for key in LISTED}, ("order",))
-    one = dict(
-        mean2d=np.array([[57.25, 5]]),
-        cov2d=np.array([[2.5, 0.5, 1.5]]),
-        depth=np.ones(1),
-        visible=np.ones(1, bool),
-    )
-    yield Case("one_row_of_tiles", dict(one, height=10, width=60), ("single",))
-
-
-def image_bars(rng, inputs):
-    """Return the cotangents: the kernel's backward takes none of the transmittance."""
-    shape = inputs["height"], inputs["width"]
-    bar = single(rng.standard_normal((*shape, 3)))
-    return {"image_bar": bar, "transmittance_bar": np.zeros(shape)}
-
-
-def kernel_cases():
-    for seed, (name, inputs, flags) in enumerate(small_splats()):
-        yield Case(
-            name, inputs, flags, cotangents=image_bars(np.random.default_rng(261 + seed), inputs)
-        )
-
-
-def pixels_cases():
-    """The cases of `kernel` at a few pixels, x before y.
-
-    Of those of `opaque`, five end before their last splat.
-    """
-    for case in kernel_cases():
-        i, rng = case.inputs, np.random.default_rng(281)
-        pixels = np.sort(rng.choice(i["width"] * i["height"], PIXELS, replace=False))
-        given = {**i, "image_bar": case.cotangents["image_bar"]}
-        given["pixels"] = np.stack([pixels % i["width"], pixels // i["width"]], axis=1)
-        yield Case(case.name, given, case.flags)
-
-
-def many_cases():
-    inputs = many_splats()
-    bars = image_bars(np.random.default_rng(264), inputs)
-    yield Case("sorting", inputs, ("order",), cotangents=bars)
-
-
-def stage_cases():
-    """The Gaussians of the golden model at t = 0.35, before the camera of `frames`."""
-    m = golden_model()
-    g, *_ = model.predict(m.design, m.networks, m.anchors, FRONT.center, 0.35)
-    named = {name: single(a) for name, a in g._asdict().items() if name != "index"}
-    camera = {n: single(a) if a.dtype.kind == "f" else a for n, a in described(FRONT).items()}
-    inputs = dict(**named, **camera, background=single(m.background))
-    while len(rows := unsettled(of_kernel(**inputs))):
-        inputs |= {name: np.delete(inputs[name], rows, axis=0) for name in named}
-    bars = image_bars(np.random.default_rng(265), {"height": FRONT.height, "width": FRONT.width})
-    yield Case("front_035", inputs, cotangents=bars)
 
 
 SPLAT_SHAPES = {
@@ -507,7 +303,7 @@ SUBJECTS = (
         },
         (),
         lists_vjp,
-        lists_cases,
+        as_published("tile_lists"),
         {"tile": TILE},
         single=True,
     ),
@@ -525,7 +321,7 @@ SUBJECTS = (
         },
         (),
         pixels_vjp,
-        pixels_cases,
+        as_published("kernel_pixels"),
         CONSTANTS,
         single=True,
         steady=("depth",),
@@ -540,7 +336,7 @@ SUBJECTS = (
         {**SPLAT_SHAPES, **IMAGE_SHAPES},
         (*SPLATS, "background"),
         kernel_vjp,
-        kernel_cases,
+        as_published("kernel"),
         CONSTANTS,
         kernel_surrogate,
         True,
@@ -556,7 +352,7 @@ SUBJECTS = (
         {**SPLAT_SHAPES, **IMAGE_SHAPES},
         (*SPLATS, "background"),
         kernel_vjp,
-        many_cases,
+        as_published("kernel_many"),
         CONSTANTS,
         kernel_surrogate,
         True,
@@ -582,7 +378,7 @@ SUBJECTS = (
         },
         ("x", "s", "r", "alpha", "color", "background"),
         stage_vjp,
-        stage_cases,
+        as_published("kernel_stage"),
         CONSTANTS,
         stage_surrogate,
         True,

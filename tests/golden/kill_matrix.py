@@ -19,7 +19,6 @@ import numpy as np
 import scipy.sparse
 
 from p4dgs_ref.equations import grid_nodes, likelihood
-from p4dgs_ref.lab.baselines import plane_features
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import compositing
@@ -70,7 +69,6 @@ def laboratory():
         np.errstate(all="ignore"),
         deadline(PATIENCE),
         patch.object(grid_nodes, "csr_matrix", checked_matrix),
-        patch.object(plane_features, "csr_matrix", checked_matrix),
     ):
         warnings.simplefilter("ignore")
         yield

@@ -5,9 +5,9 @@ Its arrays may all be right, and a network be evaluated wrongly after it was dec
 
 import numpy as np
 
-from p4dgs_ref.codec import published
-from p4dgs_ref.designs import decode
+from p4dgs_ref.codec.file import decode
 from p4dgs_ref.oracle.compare import cast
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.splatting.camera import look_at
 from tests.golden.cases import Case
 from tests.golden.flat import CAMERA_SHAPES, described
@@ -29,7 +29,7 @@ def pictures_vjp(stream, **view):
 
 def pictures_cases():
     for name, t, flags in ("full", 0.4, ("ordinary",)), ("static", 0.0, ("off",)):
-        stream = (published.FOLDER / f"{name}.p4dgs").read_bytes()
+        stream = (STREAMS / f"{name}.p4dgs").read_bytes()
         inputs = dict(stream=np.frombuffer(stream, np.uint8), **described(CAMERA), t=t)
         yield Case(name, inputs, flags)
 

@@ -1,9 +1,7 @@
 """Vectors of level L4: frames of a trained model, and ten steps of an optimisation.
 
-The model is published beside the vectors as `model.p4dgs`. `python -m tests.golden.pipeline` trains
-it again in seconds: the scene `bouncing` before a blue background with all effects, small networks,
-one seed. A training on another machine ends elsewhere, but nobody has to repeat it: the vectors
-hold the decoded arrays.
+The model is published beside the vectors as `model.p4dgs`: a short training of `bouncing` before a
+blue background, with all effects. Nobody has to repeat it: the vectors hold the decoded arrays.
 """
 
 import re
@@ -12,33 +10,26 @@ from functools import cache
 
 import numpy as np
 
-from p4dgs_ref import model
-from p4dgs_ref.designs import decode, encode, train
+from p4dgs_ref import decode, model
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Anchors
-from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.published import FOLDER
-from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS, View
+from p4dgs_ref.scenes.scene import View
 from p4dgs_ref.splatting import render
-from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, SETTINGS
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.parameters import Adam, Parameters
-from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import LEARNING_RATES
-from tests.golden.cases import Case
 from tests.golden.flat import (
     CAMERA_SHAPES,
     EMPTY,
     NETWORKS,
+    as_published,
     camera_of,
-    described,
     flat_networks,
     networks_of,
     shapes_of,
 )
-from tests.golden.printed import with_printed_ssim
 from tests.golden.subjects import Subject, no_pullback
 
 MODEL = FOLDER / "model.p4dgs"
@@ -90,39 +81,6 @@ def golden_model():
     return decode(MODEL.read_bytes())
 
 
-def train_golden_model():
-    """Bytes of a small model that moves, shines and hides parts of itself."""
-    scene = replace(load_scene("bouncing", background=(0.35, 0.6, 0.85)), effects=MODEL_EFFECTS)
-    preset = replace(
-        SMOKE,
-        name="golden",
-        anchors=60,
-        d=6,
-        k=5,
-        hidden=(14, 12),
-        deformation=(20, 18),
-        L_x=3,
-        L_t=2,
-        context=(10,),
-        grid_3d=(5,),
-        grid_2d=(9,),
-        F=2,
-        grow="reseed",
-        stage_ends=(60, 90, 700, 1000),
-        decay_from=90,
-        grow_from=30,
-        grow_every=30,
-        grow_until=500,
-        mask_from=700,
-    )
-    return encode(train(scene, preset, seed=1))
-
-
-# Neither is square, centred or has square pixels.
-FRONT = look_at((1.1, -1.9, 0.9), (0.05, 0, -0.45), 38.0, 33.0, 40, 28, c_x=21.3, c_y=12.1)
-SIDE = look_at((-1.6, -1.2, 0.4), (0, 0.05, -0.4), 33.0, 37.0, 40, 28, c_x=17.2, c_y=14.6)
-
-
 def drawn_from(m):
     """The inputs of `frames_vjp` that a decoded model gives."""
     return dict(
@@ -131,17 +89,6 @@ def drawn_from(m):
         **flat_networks({name: a for name, a in m.networks.items() if name in RENDERING}),
         **{name: getattr(m.design, name) for name in ("tau_alpha", "effects", "L_x", "L_t")},
     )
-
-
-def frames_cases():
-    common = drawn_from(golden_model())
-    for name, camera in (("front", FRONT), ("side", SIDE)):
-        for t in (0.0, 0.35, 1.0):
-            yield Case(
-                f"{name}_{100 * t:03.0f}",
-                dict(**common, **described(camera), t=t, renderer="exact"),
-            )
-    yield Case("paper_settings", dict(**common, **described(FRONT), t=0.35, renderer="paper"))
 
 
 # --- trace --------------------------------------------------------------------------------------
@@ -283,105 +230,6 @@ def parameter_name(tensor):
     return name.replace("grids.", "grid.")
 
 
-def trace_cases():
-    yield Case("ten_steps", trace_inputs(np.random.default_rng(440)))
-
-
-def trace_steps_cases():
-    """The published inputs of `trace`; other kernels made the last bits of their `truth`."""
-    yield Case("ten_steps", published.cases("trace")[0].inputs())
-
-
-def trace_inputs(rng, A=9, k=5, d=7, V=6):
-    """Anchors, networks, grids, noise, and views of another, smoother model, drawn by `rng`."""
-    resolutions = (("xyz", 3), ("xy", 5), ("xz", 4), ("yz", 4))
-    design = replace(
-        EMPTY,
-        d=d,
-        k=k,
-        hidden=(7,),
-        deformation=(8,),
-        L_x=2,
-        L_t=1,
-        context=(6,),
-        grid=resolutions,
-        F=1,
-        table=(27, 19),
-        Q_0=(0.3, 0.02, 0.02, 0.2),
-        effects=MODEL_EFFECTS,
-    )
-    p, teacher = (draw(rng, design, A) for _ in range(2))
-    teacher["psi_c.W1"][...] *= 4  # strong colours
-    background = np.array([0.9, 0.75, 0.3])
-    flat = {name: p[name] for name in ("x_a", "f_a", "log_s", "log_l", "O_a")}
-    flat |= flat_networks({name: p.network(name) for name in NETWORKS}) | {
-        "grids": p.listed("grid")
-    }
-    arrays = tuple(
-        name if not isinstance(a, list) else f"{name}.{i}"
-        for name, a in flat.items()
-        for i in range(len(a) if isinstance(a, list) else 1)
-    )
-    rate_of = {"x_a": 0.0, "O_a": 0.01, "psi_d": 0.002, "grids": 0.02}
-    rates = [rate_of.get(re.split(r"_weights|_biases|\.", name)[0], 0.005) for name in arrays]
-    return dict(
-        flat,
-        mask=rng.random((A, k)) < 0.85,
-        lo=p["x_a"].min(axis=0),
-        hi=p["x_a"].max(axis=0),
-        resolutions=resolutions,
-        Q_0=np.array(design.Q_0),
-        **views_of(teacher, design, np.linspace(0.05, 0.95, V), background),
-        background=background,
-        views=rng.integers(0, V, STEPS),
-        arrays=arrays,
-        learning_rates=np.array(rates),
-        u=rng.random((STEPS, A, sum(design.widths))) - 0.5,
-        tau_alpha=0.0,
-        effects=MODEL_EFFECTS,
-        L_x=design.L_x,
-        L_t=design.L_t,
-        lambda_rate=0.02,
-        lambda_ssim=0.2,
-    )
-
-
-def views_of(teacher, design, times, background):
-    """What a model shows to as many cameras on an arc as there are times: {name: array}."""
-    f, s, l = teacher["f_a"], np.exp(teacher["log_s"]), np.exp(teacher["log_l"])
-    anchors = Anchors(teacher["x_a"], f, s, l, teacher["O_a"], np.ones((len(f), design.k), bool))
-    networks = {name: teacher.network(name) for name in design.layers()}
-    shown = model.Model(design, anchors, networks, [], None, background)
-    cameras = []
-    for i, angle in enumerate(np.linspace(0, 5, len(times))):
-        place = 2.6 * np.array([np.cos(angle), np.sin(angle), 0.3 + 0.1 * i])
-        cameras.append(look_at(place, (0.05, 0, 0), 14.0, 12.5, 13, 11, c_x=6.4, c_y=4.8))
-    truth = np.stack([shown.render(camera, t, EXACT) for camera, t in zip(cameras, times)])
-    posed = [described(camera) for camera in cameras]
-    stacked = {n: np.stack([c[n] for c in posed]) for n in ("W", "T", "focal", "center")}
-    return dict(size=posed[0]["size"], times=times, truth=truth, **stacked)
-
-
-def draw(rng, design, A):
-    """Parameters with nothing at zero, so that every one of them has a gradient."""
-    arrays = {
-        "x_a": rng.uniform(-0.7, 0.7, (A, 3)),
-        "f_a": rng.normal(size=(A, design.d)),
-        "log_s": rng.uniform(-1.6, -0.6, (A, 3)),
-        "log_l": rng.uniform(-1.6, -0.6, (A, 3)),
-        "O_a": rng.normal(size=(A, design.k, 3)),
-    }
-    for name, layers in design.layers().items():
-        for i, (rows, columns) in enumerate(layers):
-            arrays[f"{name}.W{i}"] = rng.normal(size=(rows, columns)) / np.sqrt(rows)
-            arrays[f"{name}.b{i}"] = rng.uniform(
-                0, 0.5, columns
-            )  # above 0: few units of a ReLU are dead
-    for i, shape in enumerate(design.levels()):
-        arrays[f"grid.{i}"] = rng.uniform(-0.9, 0.9, shape)
-    return Parameters(arrays, np.float64)
-
-
 ANCHOR_SHAPES = {"x_a": "A 3", "f_a": "A d", "O_a": "A k 3", "mask": "A k", "background": "3"}
 NUMBERS = dict.fromkeys(("tau_alpha", "effects", "L_x", "L_t"), "")
 TRACE_SHAPES = {
@@ -440,7 +288,7 @@ SUBJECTS = (
         },
         (),
         frames_vjp,
-        frames_cases,
+        as_published("frames"),
     ),
     Subject(
         "trace_steps",
@@ -451,9 +299,8 @@ SUBJECTS = (
         {**TRACE_SHAPES, **each_step(STATE_SHAPES)},
         (),
         trace_steps_vjp,
-        trace_steps_cases,
+        as_published("trace_steps"),
         CONSTANTS,
-        twins=with_printed_ssim(trace_steps_vjp),
         group="inside",
     ),
     Subject(
@@ -470,11 +317,7 @@ SUBJECTS = (
         },
         (),
         trace_vjp,
-        trace_cases,
+        as_published("trace"),
         CONSTANTS,
-        twins=with_printed_ssim(trace_vjp),
     ),
 )
-
-if __name__ == "__main__":
-    MODEL.write_bytes(train_golden_model())

@@ -12,9 +12,8 @@ from itertools import accumulate, product
 from math import ceil, frexp, isfinite, ldexp, prod
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[2] / "p4dgs_ref"
-TABLES = json.loads((PACKAGE / "codec" / "tables.json").read_text(encoding="utf-8"))
-BASES = PACKAGE / "beyond" / "bases.json"  # of version 2
+FILE = Path(__file__).resolve().parents[2] / "p4dgs_ref" / "codec" / "tables.json"
+TABLES = json.loads(FILE.read_text(encoding="utf-8"))
 SECTIONS = (
     "header",
     "positions",
@@ -73,33 +72,7 @@ def interpolate(table, i, r, bits):
 
 
 def read_container(data):
-    """The sections {name: bytes} of both versions."""
-    sections = read_frame_2(data) if data[8:9] == b"\2" else read_frame_1(data)
-    for name in SECTIONS:
-        need(name in sections or name == "deformation_mlp", name, "missing")
-    return sections
-
-
-def read_frame_2(data):
-    """The sections of a file of version 2."""
-    w = data[9] if len(data) >= 18 else 0
-    start = 14 + 11 * w
-    need(data[:8] == b"\x89P4D\r\n\x1a\n" and 0 < w < 5, "container", "size, magic or w")
-    lengths = [int.from_bytes(data[i : i + w], "little") for i in range(10, start - 4, w)]
-    total = start + sum(length - 1 for length in lengths if length)
-    need(total == len(data) <= 2**29, "container", "lengths")
-    crc = zlib.crc32(data[: start - 4] + data[start:]).to_bytes(4, "little")
-    need(crc == data[start - 4 : start], "container", "checksum")
-    sections = {}
-    for name, length in zip(SECTIONS, lengths):
-        if length:
-            sections[name] = data[start : start + length - 1]
-            start += length - 1
-    return sections
-
-
-def read_frame_1(data):
-    """The sections of a file of version 1."""
+    """The sections {name: bytes} of a file."""
     valid = len(data) >= 18 and data[:9] == b"\x89P4D\r\n\x1a\n\x01"
     need(valid, "container", "size, magic or version")
     start = 18 + 9 * data[9]
@@ -118,19 +91,18 @@ def read_frame_1(data):
         need(zlib.crc32(body) == crc, SECTIONS[number - 1], "checksum")
         sections[SECTIONS[number - 1]] = body
         start += length
+    for name in SECTIONS:
+        need(name in sections or name == "deformation_mlp", name, "missing")
     return sections
 
 
-def read_header(body, size, version):
+def read_header(body, size):
     """The fields, the nodes T of each level, and the widths of the groups f, s, l, O.
 
     `size` is the number of bytes of all sections.
     """
     try:
         h = json.loads(body.decode("ascii"))
-        if version == 2:
-            h = {**json.loads(BASES.read_text(encoding="utf-8"))[h["as"]], **h}
-            need(h["position_bits"] in range(1, 17), "header", "bits")
         resolutions = [R for _, R in h["grid"]]
         for name, (least, most, *counts) in RANGES.items():
             values = resolutions if name == "grid" else h[name] if counts else [h[name]]
@@ -152,7 +124,7 @@ def read_header(body, size, version):
         raise ValueError("header", "a field that is missing, unknown or out of range") from error
 
 
-def read_networks(sections, h, widths, version):
+def read_networks(sections, h, widths):
     """The numbers of every section {name: numbers}, and (widths, numbers) of psi_p and psi_q."""
     geometry = h["d"] + 4 * ("view_geometry" in h["effects"])
     color = h["d"] + 4 * ("view_color" in h["effects"])
@@ -171,11 +143,8 @@ def read_networks(sections, h, widths, version):
         counts = [(I + 1) * J for I, J in layers[name]]
         body = sections.get(name, b"")
         need((name in sections) == bool(counts), name, "presence")
-        if version == 2:
-            numbers[name] = read_weights(body, layers[name], name) if counts else []
-        else:
-            need(len(body) == 2 * sum(counts), name, "length")
-            numbers[name] = struct.unpack(f"<{sum(counts)}e", body)
+        need(len(body) == 2 * sum(counts), name, "length")
+        numbers[name] = struct.unpack(f"<{sum(counts)}e", body)
         need(all(map(isfinite, numbers[name])), name, "a weight is not finite")
     of_psi_p, of_psi_q = nets["context_mlps"]
     end = sum((I + 1) * J for I, J in zip(of_psi_p, of_psi_p[1:]))
@@ -190,29 +159,6 @@ def layers_of_deformation(h):
         return []
     rows = [3 * (1 + 2 * h["L_x"]) + 1 + 2 * h["L_t"], *h["deformation"]]
     return [*zip(rows, rows[1:]), *((rows[-1], n) for n in heads)]
-
-
-def read_weights(body, layers, section):
-    """The numbers of a section of networks in version 2."""
-    count = 4 * len(layers)
-    need(len(body) >= count, section, "steps and levels")
-    units = [(16 + s % 16) * 2.0 ** (s // 16 - 19) for s in body[:count:2]]
-    levels = [t - 8 for t in body[1:count:2]]
-    need(max(levels) <= 19, section, "level")
-    cum, n, lowest, _ = gaussian(0, 0)
-    codes, at = read_message(body, count, [(cum, n + 1)] * sum(map(sum, layers)), section)
-    need(max(codes) < n, section, "a code outside its table")
-    codes = [lowest + code for code in codes][::-1]
-    pairs, steps = [], []
-    for i, (I, J) in enumerate(layers):
-        rows, columns = ([codes.pop() for _ in range(size)] for size in (I, J))
-        scales = [levels[2 * i] + r + c for r in rows for c in columns]
-        pairs += [(0, clip(16 * scale, -128, 319)) for scale in scales]
-        pairs += [(0, 16 * levels[2 * i + 1])] * J
-        steps += [units[2 * i]] * (I * J) + [units[2 * i + 1]] * J
-    symbols = read_gaussian(body[at:], pairs, section)
-    need(max(map(abs, symbols)) <= 32767, section, "a symbol beyond 32767")
-    return [symbol * step for symbol, step in zip(symbols, steps)]
 
 
 def run_network(x, widths, numbers):
@@ -397,59 +343,18 @@ def read_gaussian(data, pairs, section):
     return symbols
 
 
-def read_positions_1(body, A):
-    """The coordinates of all anchors, x y z x y z ..."""
-    need(len(body) == 24 + 6 * A, "positions", "length")
-    return struct.unpack(f"<{3 * A}H", body[24:])
-
-
-def read_positions_2(body, A, B, axes):
-    """The same in version 2; `axes` are those on which the box has an extent."""
-    digits, L = B * len(axes), 2**B - 1
-    need(len(body) > 24 and body[24] <= digits, "positions", "raw bits of a gap")
-    bits = [byte >> i & 1 for byte in body[25:] for i in range(8)][::-1]
-    r = body[24]
-
-    def take(width):
-        need(len(bits) >= width, "positions", "the end of the bits")
-        return sum(bits.pop() << i for i in range(width))
-
-    need(len(bits) >= r * A, "positions", "raw bits")
-    raw = [take(r) for _ in range(A)]
-    code, positions = 0, []
-    for low in raw:
-        b = 0
-        while not take(1):
-            b += 1
-            need(b <= 33, "positions", "an endless gamma code")
-        quotient = 2**b + take(b) - 1
-        code += quotient * 2**r + low  # a number of 82 bits at most
-        need(code < 2**digits, "positions", "a code that is too large")
-        point = [0, 0, 0]
-        for i in range(digits):  # from the highest bit of the first axis on
-            axis = axes[i % len(axes)]
-            point[axis] = 2 * point[axis] + (code >> digits - 1 - i & 1)
-        positions += [(65535 * m + L // 2) // L for m in point]
-    need(len(bits) < 8 and not any(bits), "positions", "bits left over")
-    return positions
-
-
 def decode(data):
     """Every array of a file, {name: flat list}, row by row."""
     sections = read_container(data)
-    h, T, widths = read_header(sections["header"], sum(map(len, sections.values())), data[8])
-    numbers, psi_p, psi_q = read_networks(sections, h, widths, data[8])
+    h, T, widths = read_header(sections["header"], sum(map(len, sections.values())))
+    numbers, psi_p, psi_q = read_networks(sections, h, widths)
     A, k, n, F = h["anchors"], h["k"], sum(widths), h["F"]
     body = sections["positions"]
-    need(len(body) >= 24, "positions", "length")
+    need(len(body) == 24 + 6 * A, "positions", "length")
     box = struct.unpack("<6f", body[:24])
     lo, hi = box[:3], box[3:]
     need(all(-1e30 <= a <= b <= 1e30 for a, b in zip(lo, hi)), "positions", "box")
-    if data[8] == 2:
-        axes = [axis for axis in range(3) if lo[axis] < hi[axis]]
-        positions = read_positions_2(body, A, h["position_bits"], axes)
-    else:
-        positions = read_positions_1(body, A)
+    positions = struct.unpack(f"<{3 * A}H", body[24:])
     steps = [(b - a) / 65535 for a, b in zip(lo, hi)]
     x_a = [lo[i % 3] + u * steps[i % 3] for i, u in enumerate(positions)]
     masks = read_bits(sections["masks"], A * k, "masks")

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.codec.quantise import dequantise
-from p4dgs_ref.model import Anchors, bounding_box
+from p4dgs_ref.codec.quantise import dequantise, quantise
+from p4dgs_ref.model import Anchors, Design, Model, bounding_box
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from tests.golden.both import design_of, is_ours, model_of, quantise
 
 
 def sample_model(seed, anchors, **fields):
@@ -31,7 +30,7 @@ def sample_model(seed, anchors, **fields):
         tau_alpha=0.0,
         effects=MODEL_EFFECTS,
     )
-    design = design_of({**usual, **fields})
+    design = Design(**{**usual, **fields})
     networks = {
         name: ([rng.normal(size=pair) for pair in pairs], [rng.normal(size=n) for _, n in pairs])
         for name, pairs in design.layers().items()
@@ -41,11 +40,8 @@ def sample_model(seed, anchors, **fields):
     mask[:, 0] = True  # every anchor keeps a child, so that none is dropped
     shapes = (design.d,), (3,), (3,), (design.k, 3)
     zeros = Anchors(x_a, *(np.zeros((anchors, *shape)) for shape in shapes), mask)
-    model = model_of(design, zeros, networks, grids, bounding_box(x_a), rng.random(3))
-    quantised = quantise(model)
-    ctx, sorted_ones = quantised.context, quantised.model.anchors
-    if is_ours(model):
-        x_a, mask = sorted_ones.x_a, sorted_ones.mask
+    model = Model(design, zeros, networks, grids, bounding_box(x_a), rng.random(3))
+    ctx = quantise(model).context
     deviations = 2.0 ** (ctx.sigma_units / 16) * rng.normal(size=ctx.mu_units.shape)
     symbols = np.rint(ctx.mu_units / 1024 + deviations)
     symbols[rng.random(symbols.shape) < 0.03] -= 5e6

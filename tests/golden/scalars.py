@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.scenes.dnerf import make_camera
 from p4dgs_ref.splatting import covariance
-from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import Case
 from tests.golden.subjects import CONSTANTS, Subject, no_pullback
 

@@ -7,25 +7,18 @@ import numpy as np
 from p4dgs_ref import model
 from p4dgs_ref.equations import deformation, deformed
 from p4dgs_ref.model import ANCHOR_NETWORKS, Anchors
-from p4dgs_ref.random_inputs import random_field, random_network
-from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import covariance, projection, render
-from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT
-from tests.golden.cases import Case
 from tests.golden.flat import (
     CAMERA_SHAPES,
     EMPTY,
+    as_published,
     camera_of,
-    described,
     flat_gradients,
-    flat_networks,
     networks_of,
     shapes_of,
 )
 from tests.golden.subjects import Subject
-
-UNSEEN = tuple(effect for effect in MODEL_EFFECTS if not effect.startswith("view"))
 
 
 # --- Fig. 1: anchors -> canonical Gaussians -----------------------------------------------------
@@ -54,50 +47,6 @@ def spatial_surrogate(**base):
         return spatial_vjp(**{**moved, "mask": mask, "tau_alpha": -1.0})[0]
 
     return smooth
-
-
-def anchor_inputs(rng, A, d, k, hidden, effects):
-    """Anchors about the origin, a camera centre, and anchor networks as the effects need them."""
-    design = replace(EMPTY, d=d, k=k, hidden=hidden, effects=effects)
-    networks = {
-        name: random_network(rng, layers[0][0], *(columns for _, columns in layers))
-        for name, layers in design.layers().items()
-        if name in ANCHOR_NETWORKS
-    }
-    for _, biases in networks.values():
-        for bias in biases[:-1]:
-            bias += 0.5  # few units of a ReLU are dead
-    return dict(
-        x_a=rng.uniform(-0.8, 0.8, (A, 3)),
-        f_a=rng.normal(size=(A, d)),
-        s_a=rng.uniform(0.2, 0.6, (A, 3)),
-        l_a=rng.uniform(0.1, 0.4, (A, 3)),
-        O_a=rng.normal(size=(A, k, 3)),
-        mask=np.ones((A, k), bool),
-        x_c=np.array([1.1, -2.3, 0.9]),
-        tau_alpha=0.0,
-        effects=effects,
-        **flat_networks(networks),
-    )
-
-
-def spatial_cases():
-    def inputs(seed, *sizes, effects=MODEL_EFFECTS):
-        return anchor_inputs(np.random.default_rng(seed), *sizes, effects)
-
-    def masked(seed, A, d, k):
-        rng = np.random.default_rng(seed)
-        anchors = anchor_inputs(rng, A, d, k, (7,), MODEL_EFFECTS)
-        return {**anchors, "mask": rng.random((A, k)) < 0.6}
-
-    seeing = inputs(204, 5, 4, 2, (7,), effects=(*UNSEEN, "view_color"))
-    return [
-        Case("ordinary", inputs(201, 7, 6, 5, (8, 9))),
-        Case("masked_children", {**masked(202, 6, 4, 5), "tau_alpha": 0.125}, ("masked",)),
-        Case("masked_at_zero", masked(224, 5, 4, 3), ("masked",)),
-        Case("no_view", inputs(203, 6, 5, 2, (8,), effects=UNSEEN), ("off",)),
-        Case("color_sees_the_view", seeing, ("off",)),
-    ]
 
 
 # --- Fig. 1: canonical Gaussians -> Gaussians at t ----------------------------------------------
@@ -130,33 +79,6 @@ def temporal_surrogate(**base):
     return smooth
 
 
-def temporal_cases():
-    def inputs(seed, N, hidden, t, L_x=3, L_t=2, heads=(3, 3, 4)):
-        rng = np.random.default_rng(seed)
-        field = random_field(rng, L_x, L_t, *hidden, heads=heads)
-        weights, biases = field.pop("weights"), field.pop("biases")
-        for bias in biases[:-3]:
-            bias += 0.5  # few units of a ReLU are dead
-        return dict(**gaussians(rng, N), t=t, **field, psi_d_weights=weights, psi_d_biases=biases)
-
-    return [
-        Case("ordinary", inputs(211, 7, (9, 8), 0.37)),
-        Case("start", inputs(212, 5, (8,), 0.0, L_x=4), ("zero",)),
-        Case("turns_and_moves", inputs(213, 6, (9,), 1.0, L_t=3, heads=(3, 0, 4)), ("off",)),
-        Case("rests", inputs(214, 5, (6,), 0.5, heads=(0, 0, 0)), ("off",)),
-    ]
-
-
-def gaussians(rng, N):
-    """Places, scales and unit quaternions."""
-    r = rng.normal(size=(N, 4))
-    return dict(
-        x=rng.uniform(-0.7, 0.7, (N, 3)),
-        s=rng.uniform(0.1, 0.4, (N, 3)),
-        r=r / np.linalg.norm(r, axis=1, keepdims=True),
-    )
-
-
 # --- Fig. 1: Gaussians at t -> image ------------------------------------------------------------
 def projected(x, s, r, camera, settings):
     """Return the splats of some Gaussians, {name: array}, and their pullback.
@@ -185,32 +107,6 @@ def projection_vjp(x, s, r, W, T, focal, center, size):
     return splats, pullback
 
 
-# Neither square nor centred, with pixels that are not square.
-VIEWPOINT = look_at((1.2, -2.6, 1.1), (0.05, 0, -0.1), 21.0, 18.0, 15, 11, c_x=6.1, c_y=5.7)
-
-
-def projection_cases():
-    view = described(VIEWPOINT)
-    near = gaussians(np.random.default_rng(222), 8)
-    toward = VIEWPOINT.center * np.array([[0.0], [0.2], [0.5], [0.8], [0.97], [1.0], [1.5], [3.0]])
-    wide = gaussians(np.random.default_rng(223), 6)
-    inside_out = gaussians(np.random.default_rng(224), 5)
-    return [
-        Case("ordinary", dict(**gaussians(np.random.default_rng(221), 7), **view)),
-        Case("some_behind", dict(near, x=toward + 0.1 * near["x"], **view), ("behind",)),
-        Case(
-            "beyond_the_clamp",
-            dict(wide, x=wide["x"] + 5 * VIEWPOINT.R[0] * np.array([[1], [-1]] * 3), **view),
-            ("clamped", "outside"),
-        ),
-        Case(
-            "negative_scales",
-            dict(inside_out, s=inside_out["s"] * [-1, 1, -0.3], **view),
-            ("negative",),
-        ),
-    ]
-
-
 def compositing_vjp(x, s, r, alpha, color, W, T, focal, center, size, background, occlusion):
     """From Gaussians to an image: covariance, projection, depth order, compositing.
 
@@ -226,35 +122,6 @@ def compositing_vjp(x, s, r, alpha, color, W, T, focal, center, size, background
         return {name: bars[name].astype(x.dtype, copy=False) for name in names}
 
     return {"image": image.astype(x.dtype, copy=False)}, pullback
-
-
-def compositing_cases():
-    def inputs(seed, N, **changes):
-        rng = np.random.default_rng(seed)
-        return (
-            dict(
-                **gaussians(rng, N),
-                alpha=rng.uniform(0.3, 0.95, N),
-                color=rng.random((N, 3)),
-                **described(VIEWPOINT),
-                background=np.array([0.9, 0.2, 0.4]),
-                occlusion=True,
-            )
-            | changes
-        )
-
-    some = inputs(233, 10)
-    behind = np.where(np.arange(10)[:, None] % 4 == 3, 2 * VIEWPOINT.center, 0)
-    return [
-        Case("ordinary", inputs(231, 12)),
-        Case("no_occlusion", inputs(232, 9, occlusion=False), ("off",)),
-        Case("some_behind", {**some, "x": some["x"] + behind}, ("behind",)),
-        Case(
-            "opaque",
-            inputs(234, 8, alpha=np.tile([1.0, 0.5], 4), s=np.full((8, 3), 0.7)),
-            ("opaque", "clamped"),
-        ),
-    ]
 
 
 SUBJECTS = (
@@ -284,7 +151,7 @@ SUBJECTS = (
         },
         ("x_a", "f_a", "s_a", "l_a", "O_a", *shapes_of(*ANCHOR_NETWORKS)),
         spatial_vjp,
-        spatial_cases,
+        as_published("spatial_prediction"),
         surrogate=spatial_surrogate,
     ),
     Subject(
@@ -307,7 +174,7 @@ SUBJECTS = (
         },
         ("x", "s", "r", *shapes_of("psi_d")),
         temporal_vjp,
-        temporal_cases,
+        as_published("temporal_prediction"),
         surrogate=temporal_surrogate,
     ),
     Subject(
@@ -328,7 +195,7 @@ SUBJECTS = (
         },
         ("x", "s", "r"),
         projection_vjp,
-        projection_cases,
+        as_published("projection_stage"),
     ),
     Subject(
         "compositing_stage",
@@ -349,6 +216,6 @@ SUBJECTS = (
         },
         ("x", "s", "r", "alpha", "color", "background"),
         compositing_vjp,
-        compositing_cases,
+        as_published("compositing_stage"),
     ),
 )

@@ -2,17 +2,14 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from p4dgs_ref import model
 from p4dgs_ref.equations import prior, step
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Context
-from p4dgs_ref.random_inputs import random_network
 from p4dgs_ref.table import EQUATIONS
 from p4dgs_ref.training import objective
-from tests.golden.cases import Case, hash_grid, hash_rate
-from tests.golden.flat import EMPTY, flat_gradients, flat_networks, networks_of, shapes_of
+from tests.golden.cases import hash_grid, hash_rate
+from tests.golden.flat import EMPTY, as_published, flat_gradients, networks_of, shapes_of
 from tests.golden.subjects import Subject
 
 
@@ -53,36 +50,6 @@ def context_surrogate(**base):
     return smooth
 
 
-def context_cases():
-    def inputs(seed, A, d, k, resolutions, tables, F, hidden):
-        rng = np.random.default_rng(seed)
-        networks = {
-            name: random_network(rng, F * len(tables), *hidden, columns)
-            for name, columns in (("psi_q", 4), ("psi_p", 2 * (d + 6 + 3 * k)))
-        }
-        hi = np.array([1, 0.7, 0.4])
-        return dict(
-            x_a=rng.uniform(-1, 1, (A, 3)) * hi,
-            lo=-hi,
-            hi=hi,
-            grids=[rng.uniform(-0.9, 0.9, (T, F)) for T in tables],
-            resolutions=resolutions,
-            Q_0=np.array([1.0, 0.001, 0.002, 0.2]),
-            d=d,
-            k=k,
-            **flat_networks(networks),
-        )
-
-    dense = (("xyz", 3), ("xy", 4), ("xz", 4), ("yz", 4))
-    hashed = (("xyz", 5), ("xyz", 9), ("xy", 7), ("yz", 11))
-    outside = inputs(243, 8, 2, 4, (("xyz", 3), ("xz", 5)), (27, 25), 1, (5,))
-    return [
-        Case("ordinary", inputs(241, 7, 5, 2, dense, (27, 16, 16, 16), 2, (8,))),
-        Case("hashed", inputs(242, 9, 4, 3, hashed, (32, 32, 19, 19), 3, (6, 7))),
-        Case("outside_the_box", {**outside, "x_a": 1.7 * outside["x_a"]}, ("outside", "clamped")),
-    ]
-
-
 # --- noisy attributes -> bits -------------------------------------------------------------------
 def rate_vjp(noisy, mu, sigma, q, mask, grids, d, k):
     """The rate of everything: likelihood, anchor rate, hash rate, rate loss (Eqs. 11, 13, 14, 17).
@@ -115,30 +82,6 @@ def rate_surrogate(**base):
     return smooth
 
 
-def rate_cases():
-    def inputs(seed, A, d, k, spread, tables=((8, 2), (9, 2))):
-        rng = np.random.default_rng(seed)
-        n = d + 6 + 3 * k
-        sigma, mu = rng.lognormal(-1, 0.5, (A, n)), rng.normal(size=(A, n))
-        return dict(
-            noisy=mu + spread * sigma * rng.normal(size=(A, n)),
-            mu=mu,
-            sigma=sigma,
-            q=rng.uniform(0.1, 0.8, (A, 4)),
-            mask=rng.random((A, k)) < 0.7,
-            grids=[rng.uniform(-0.5, 0.9, shape) for shape in tables],
-            d=d,
-            k=k,
-        )
-
-    masked = inputs(253, 4, 5, 2, 1.0)
-    return [
-        Case("ordinary", inputs(251, 6, 4, 5, 1.0)),
-        Case("tails", inputs(252, 5, 3, 2, 30.0), ("tail", "masked")),
-        Case("all_masked", {**masked, "mask": np.zeros((4, 2), bool)}, ("masked",)),
-    ]
-
-
 SUBJECTS = (
     Subject(
         "context_stage",
@@ -163,7 +106,7 @@ SUBJECTS = (
         },
         ("grids", *shapes_of("psi_q", "psi_p")),
         context_vjp,
-        context_cases,
+        as_published("context_stage"),
         surrogate=context_surrogate,
     ),
     Subject(
@@ -186,7 +129,7 @@ SUBJECTS = (
         },
         ("noisy", "mu", "sigma", "q", "grids"),
         rate_vjp,
-        rate_cases,
+        as_published("rate_stage"),
         surrogate=rate_surrogate,
     ),
 )

@@ -1,14 +1,13 @@
 """All subjects of the vectors, in the order in which data flows.
 
-A subject is an equation of the paper, of a baseline or of the coded design, or something that is
-called like one: a scalar function, a stage of several equations, the pipeline.
+A subject is an equation of the paper or something that is called like one: a scalar function, a
+stage of several equations, the pipeline.
 """
 
 from functools import cache
+from itertools import pairwise
 from typing import Callable, NamedTuple
 
-from p4dgs_ref.beyond import BEYOND
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS, BASELINE_EQUATIONS
 from p4dgs_ref.oracle import published, tolerance
 from p4dgs_ref.table import EQUATIONS
 from tests.golden import shape_comments
@@ -16,36 +15,6 @@ from tests.golden.cases import cases_of
 from tests.golden.hard_cases import catalogue
 from tests.golden.sixty_digits.gradients import FORMULAS
 
-# Rendering comes first: anchors -> canonical Gaussians -> Gaussians at t -> image -> loss.
-# Coding follows: context -> bits -> loss.
-FLOW = (
-    "mlp",
-    "view",
-    "offsets",
-    "opacity",
-    "color",
-    "rotation",
-    "scale",
-    "masking",
-    "positional_encoding",
-    "deformation",
-    "deformed",
-    "covariance",
-    "projection",
-    "compositing",
-    "ssim",
-    "render_loss",
-    "hash_grid",
-    "step",
-    "prior",
-    "noise",
-    "rounding",
-    "likelihood",
-    "anchor_rate",
-    "hash_rate",
-    "rate_loss",
-    "total_loss",
-)
 # Numbers that an equation takes for granted.
 CONSTANTS = {
     "rotation": {"EPSILON": 1e-12},
@@ -55,11 +24,7 @@ CONSTANTS = {
     "step": {"FLOOR": 0.0009765625},
     "prior": {"RAW_MIN": -14.0, "RAW_MAX": 6.0},
     "rounding": {"LIMIT": 2147483648.0},
-    "activations": {"EPSILON": 1e-12},
-    "rotation_4d": {"EPSILON": 1e-12},
-    "conditional": {"EPSILON": 1e-12},
 }
-OPTIONAL = {"baselines": BASELINE_EQUATIONS, "beyond": BEYOND}  # a port may leave them out
 
 
 class Subject(NamedTuple):
@@ -100,7 +65,7 @@ def no_pullback(**cotangents):
 
 def equation(key):
     """Return the subject of an equation of a table."""
-    row = ALL_EQUATIONS[key]
+    row = EQUATIONS[key]
     inputs = cases_of(key)[0].inputs  # names the inputs, and gives their order
 
     def cases():
@@ -118,24 +83,37 @@ def equation(key):
         row.vjp,
         cases,
         CONSTANTS.get(key, {}),
-        group=next((group for group, table in OPTIONAL.items() if key in table), ""),
     )
 
 
 def lacking(key):
     """Return one line on what an equation of a table still lacks, or None."""
-    row = ALL_EQUATIONS[key]
-    if key in EQUATIONS and key not in FLOW:
-        return f"{key}: no place in FLOW of tests/golden/subjects.py"
+    row = EQUATIONS[key]
     if not cases_of(key):
         return f"{key}: no cases in tests/golden/cases/{key}.py"
     if key not in FORMULAS:
         return f"{key}: no formula in tests/golden/sixty_digits"
+    arguments = shape_comments.arguments(row.forward)
+    unknown = {name for case in cases_of(key) for name in case.inputs if name not in arguments}
+    if unknown:
+        return f"{key}: its cases have {min(unknown)!r}, which is no argument of `forward`"
     specs = shape_comments.outputs(row.forward, row.outputs)
     unwritten = [name for name, spec in specs.items() if not spec.shapes]
     if unwritten:
         return f"{key}: no shape of {unwritten[0]} in the docstring of `forward`"
     return None
+
+
+def flow():
+    """Return the keys of all equations in the order in which data flows, that of the manifest.
+
+    An equation that is not published yet follows the one before it in the table.
+    """
+    keys = [key for key, row in published.subjects().items() if row["level"] == "L1"]
+    for before, key in pairwise(EQUATIONS):
+        if key not in keys:
+            keys.insert(keys.index(before) + 1, key)
+    return keys
 
 
 @cache
@@ -153,11 +131,10 @@ def subjects():
         stages_coding,
     )
 
-    equations = (*FLOW, *BASELINE_EQUATIONS, *BEYOND)
     rows = [
         *scalars.SUBJECTS,
         *scalars_coding.SUBJECTS,
-        *(equation(key) for key in equations if not lacking(key)),
+        *(equation(key) for key in flow() if not lacking(key)),
         *stages.SUBJECTS,
         *stages_coding.SUBJECTS,
         *kernel.SUBJECTS,

@@ -9,7 +9,10 @@ from tests.golden.subjects import subjects
 
 def case_of(id):
     """The published case with an id."""
-    return next(case for case in published.cases(id.split("/")[0]) if case.id == id)
+    for case in published.cases(id.split("/")[0]):
+        if case.id == id:
+            return case
+    raise LookupError(f"{id}: no such case is published")
 
 
 def in_precision(tensors, dtype):

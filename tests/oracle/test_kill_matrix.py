@@ -8,7 +8,6 @@ from p4dgs_ref.oracle import published
 from tests.golden import kill_matrix
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix
-from tests.golden.mistakes import MISTAKES
 from tests.golden.mutate import applied, mutations
 from tests.sampling import SEED
 
@@ -19,26 +18,16 @@ DRAW = random.Random(SEED)
 def test_mutations_are_killed_or_equivalent():
     counts = committed()
     names = [mutation.id for mutation in mutations()]
-    assert len(set(names)) == len(names) == counts["total"] >= 300
+    assert len(set(names)) == len(names)
+    assert len(names) == counts["total"], "`python -m tests.golden.kill_matrix` counts them anew"
     assert counts["killed"] >= 0.98 * counts["total"]
     assert counts["killed"] + len(counts["survivors"]) == counts["total"]
     reasons = {survivor["id"]: survivor["reason"] for survivor in counts["survivors"]}
     assert reasons == EQUIVALENT and all(EQUIVALENT.values())
 
 
-def test_the_pages_say_what_the_file_says():
-    top = kill_matrix.MATRIX.parents[2]
-    reference = (top / "tutorials" / "reference.md").read_text(encoding="utf-8")
-    reference = " ".join(reference.split())
-    counts = committed()
-    assert f"the answers to which {len(MISTAKES)} common mistakes lead" in reference
-    assert f"with some {round(counts['total'], -1):,} one-token mutations" in reference
-    assert f"mutations, {100 * counts['killed'] / counts['total']:.1f} % are detected" in reference
-    readme = (top / "README.md").read_text(encoding="utf-8")
-    assert f"explains {len(MISTAKES)} common mistakes" in " ".join(readme.split())
-
-
 # --- whether it is true -------------------------------------------------------------------------
+@pytest.mark.usefixtures("right_reference")
 def test_some_mutations_again(judge, hasty):
     survivors = {survivor["id"] for survivor in committed()["survivors"]}
     for mutation in DRAW.sample(mutations(), 60):
@@ -46,11 +35,13 @@ def test_some_mutations_again(judge, hasty):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("right_reference")
 def test_everything_again(judge):
     assert matrix(judge) == committed()
 
 
 # --- the judge ----------------------------------------------------------------------------------
+@pytest.mark.usefixtures("right_reference")
 def test_a_change_that_changes_nothing_is_not_killed(judge):
     with laboratory():
         assert judge.first_failure("offsets", {("p4dgs_ref.equations.offsets", None)}) is None

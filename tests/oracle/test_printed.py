@@ -1,7 +1,6 @@
 """A right port with fewer digits passes or is acceptable, and nothing else is.
 
-A port on the formulas as printed, differentiated by a tape, is right; a tensor that is off by 1e-3,
-zero or negated is wrong.
+A port on a formula as printed is right; a tensor that is off by 1e-3, zero or negated is wrong.
 """
 
 import json
@@ -10,57 +9,27 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.oracle import checker, published, safetensors
+from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected
-from tests.golden import printed, vectors
-from tests.oracle.answers import Port, case_of, in_precision, ours, write
+from tests.golden import vectors
+from tests.oracle.answers import case_of, in_precision, write
 from tests.sampling import few
 
 PRECISIONS = (np.float64, np.float32)
 
 
-def as_printed(case, dtype):
-    if case.subject not in printed.FORMULAS:
-        return ours(case, dtype)
-    got = printed.answer(case, lambda a: np.asarray(a, dtype), dtype)
-    return {name: a.reshape(case.tensors[name].shape) for name, a in got.items()}
-
-
-def judged(key, dtype, strict=False):
-    """The report of a port on the formulas as printed."""
-    port = Port(as_printed, dtype)
-    return checker.Report(checker.check_subject(published.cases(key), port, strict=strict))
-
-
 # --- right formulas -----------------------------------------------------------------------------
-CONCERNED = [(key, dtype) for key in scales.RECIPES for dtype in PRECISIONS]
-# Some of the cases that such a port missed when it was checked without mercy.
-MISSED = {
-    *("tanh/tails", "sigmoid/tails", "step/H-R4.u-10", "step/H-R4.u-100", "opacity/H-S1.tanh"),
-    *("deformed/H-G5.nearly_w", "deformed/H-P2.zero", "view/far", "view/near", "ssim/flat"),
-    *("activations/saturated", "conditional/lasting", "rotation_4d/identity"),
-}
+def as_printed(case):
+    """tanh and its slope 1 - tanh(y)^2, which has no digits left where the tanh saturates."""
+    alpha = np.tanh(case.inputs()["y"])
+    return {"out.alpha": alpha, "in_bar.y": case.cotangents()["alpha_bar"] * (1 - alpha**2)}
 
 
-@pytest.mark.parametrize("key, dtype", few(CONCERNED, 12))
-def test_the_formulas_as_printed_are_acceptable_or_not_judged_and_fail_strictly(key, dtype):
-    """SSIM and its loss are among them."""
-    results, strictly = (judged(key, dtype, strict) for strict in (False, True))
-    assert results.ok and results.first is None, str(results)
-    acceptable = {r.id for r in results.results if r.verdict == "acceptable" and r.required}
-    vague = {r.id for r, s in zip(results.results, strictly.results) if r.unasked != s.unasked}
-    assert acceptable | vague == {r.id for r in strictly.results if r.wrong}
-    if dtype is np.float64:
-        assert {id for id in MISSED if id.startswith(f"{key}/")} <= acceptable | vague
-    (row,) = results.levels().values()
-    assert row["of"] - row["passed"] == row["acceptable"] == len(acceptable) < row["of"]
-    assert {r.recipe for r in results.results} <= {"", scales.RECIPES.get(key)}
-
-
-def test_the_command_has_an_option_that_is_strict(tmp_path, capsys):
-    got = {case.name: as_printed(case, np.float64) for case in published.cases("tanh")}
-    write(tmp_path, tanh={f"{case}/{n}": a for case, of in got.items() for n, a in of.items()})
+def test_a_formula_as_printed_is_acceptable_and_fails_strictly(tmp_path, capsys):
+    cases = published.cases("tanh")
+    got = {f"{case.name}/{n}": a for case in cases for n, a in as_printed(case).items()}
+    write(tmp_path, tanh=got)
     check = ["oracle", "check", str(tmp_path), "--only", "tanh", "--json"]
     assert cli.run(check, 0.0) == 0
     assert json.loads(capsys.readouterr().out)["levels"]["L0"]["acceptable"] == 1
@@ -126,23 +95,9 @@ def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
 
 
 # --- the data -----------------------------------------------------------------------------------
-@pytest.mark.parametrize("key", few(printed.FORMULAS, 2))
-def test_the_file_is_what_the_workshop_measures(key):
-    """Scales within a factor of two: other kernels made the file, and round otherwise."""
-    stored, made = safetensors.load(scales.PRINTED.read_bytes()), printed.build((key,))
-    stored = {name: a for name, a in stored.items() if name.split("/")[1] == key}
-    assert set(stored) == set(made) and scales.PRINTED.stat().st_size < 40_000
-    for name, a in stored.items():
-        if a.dtype.kind == "b":
-            assert np.array_equal(a, made[name]), name
-        else:
-            assert np.allclose(a, made[name], rtol=1, atol=0), name
-
-
 def test_only_subjects_with_a_recipe_have_wider_scales():
     cases = {id for id, _ in scales.measured()}
     assert {id.split("/")[0] for id in cases} <= set(scales.RECIPES)
-    assert set(scales.RECIPES) == {*printed.FORMULAS, "projection"}
     for id, precision in scales.measured():
         case = case_of(id)
         wide = scales.as_printed(case, in_precision(expected(case.tensors), precision))[0].tensors

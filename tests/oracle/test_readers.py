@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab.baselines import BASELINE_EQUATIONS
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.checker import check_port
@@ -335,8 +334,6 @@ def test_printed_commands_run(tmp_path, monkeypatch, capsys):
         {"step", "step_floor", "prior", "sigma_clamp"},
         {"step"},
         {s["key"] for s in read_manifest()["subjects"] if s["level"] == "L2"},
-        set(BASELINE_EQUATIONS),
-        {"weight_bits"},
         {"trace_steps", "training_steps", "kernel_pixels"},
         {"pictures"},
         {"offsets"},

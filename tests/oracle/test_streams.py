@@ -9,9 +9,8 @@ import sys
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec import published
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.designs import quantised_of
+from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
@@ -22,8 +21,6 @@ from tests.sampling import few
 
 ROWS = streams.read_rows()
 GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
-VERSION_2 = [name for name in GOOD + BAD if name.startswith("coded_")]
-VALID_2 = [name for name in VERSION_2 if name in GOOD]
 
 DECODER = """
 import base64, json, sys
@@ -63,8 +60,8 @@ def check(folder, *names):
     asked = [name for name in GOOD + BAD if not names or name in names]
     results = streams.check(FolderPort(folder), asked)
     assert [r.id for r in results] == [f"codec/{name}" for name in asked]
-    assert all(r.level == "L3" and (r.required or r.id[6:] in VERSION_2) for r in results)
-    return {r.id[6:]: r for r in results if r.verdict != "pass" and r.required}
+    assert all(r.level == "L3" and r.required for r in results)
+    return {r.id[6:]: r for r in results if r.verdict != "pass"}
 
 
 def change(folder, name, **arrays):
@@ -76,13 +73,6 @@ def change(folder, name, **arrays):
 
 def read(folder, name):
     return safetensors.load((folder / "codec" / f"{name}.safetensors").read_bytes())
-
-
-def test_the_names_tell_the_version():
-    """The ninth byte of a file is its version; `wrong_version` has the table of version 1."""
-    rows = [row for row in ROWS["good"] + ROWS["bad"] if row["name"] != "wrong_version"]
-    version = {row["name"]: (published.FOLDER / row["file"]).read_bytes()[8:9] for row in rows}
-    assert [name for name, byte in version.items() if byte == b"\2"] == VERSION_2
 
 
 def test_our_own_answers_pass(ours):
@@ -193,7 +183,7 @@ def test_what_is_not_there_or_damaged(folder):
     shutil.rmtree(folder / "codec")
     wrong = check(folder)
     assert {r.verdict for r in wrong.values()} == {"missing"}
-    assert [*wrong] == [name for name in GOOD + BAD if name not in VERSION_2]
+    assert [*wrong] == GOOD + BAD
 
 
 def test_refusals(folder):
@@ -221,45 +211,6 @@ def test_refusals(folder):
     assert set(check(folder)) == set(BAD)
 
 
-def forget(folder, names, why=None):
-    """Take answers away. With `why`, the port refuses these streams."""
-    file = folder / "codec" / "refusals.json"
-    reasons = {
-        n: w for n, w in json.loads(file.read_text(encoding="utf-8")).items() if n not in names
-    }
-    file.write_text(
-        json.dumps(reasons | dict.fromkeys(names, why) if why else reasons), encoding="utf-8"
-    )
-    for name in names:
-        (folder / "codec" / f"{name}.safetensors").unlink(missing_ok=True)
-
-
-@pytest.mark.parametrize("why", ["version 2", None])
-def test_a_port_may_leave_out_version_2(folder, why):
-    """Refused or without an answer: the valid streams, or the whole version."""
-    forget(folder, VALID_2, why)
-    report = checker.check_port(FolderPort(folder), only="codec")
-    assert report.ok and report.levels()["L3"]["of"] == len(GOOD + BAD) - len(VALID_2)
-    assert "L3: 6 cases left out, which is allowed" in str(report)
-    assert {r.id[6:] for r in report.results if not r.required} == set(VALID_2)
-    assert {r.verdict for r in report.results if not r.required} == {"skipped"}
-    forget(folder, VERSION_2, why)
-    report = checker.check_port(FolderPort(folder), only="codec")
-    left = VALID_2 if why else VERSION_2  # invalid streams that are refused count as passes
-    assert report.ok and {r.id[6:] for r in report.results if not r.required} == set(left)
-    assert f"L3: {len(left)} cases left out" in str(report)
-
-
-@pytest.mark.parametrize("why", ["version 2", None])
-def test_a_port_that_reads_some_of_version_2_must_read_all(folder, why):
-    forget(folder, VALID_2[1:], why)
-    wrong = check(folder)
-    assert [*wrong] == VALID_2[1:]
-    assert {r.verdict for r in wrong.values()} == {"fail" if why else "missing"}
-    change(folder, VALID_2[0], q=None)  # read, but not right
-    assert [*check(folder)] == VALID_2
-
-
 class Decoder:
     """A port in this process that accepts all, refuses all, or is right."""
 
@@ -277,10 +228,7 @@ class Decoder:
 @pytest.mark.parametrize("option, failing", [("", []), ("--lenient", BAD), ("--strict", GOOD)])
 def test_who_accepts_or_refuses_all_fails(option, failing):
     results = streams.check(Decoder(option))
-    left = VALID_2 if option == "--strict" else []
-    assert [r.id[6:] for r in results if not r.required] == left
-    failed = [r.id[6:] for r in results if r.verdict == "fail"]
-    assert failed == [name for name in failing if name not in left]
+    assert [r.id[6:] for r in results if r.verdict == "fail"] == failing
 
 
 def test_a_picture_shows_what_the_arrays_do_not():
@@ -294,7 +242,7 @@ def test_a_picture_shows_what_the_arrays_do_not():
     assert mistake.description in report.first.explanation
 
     def no_renderer(case):
-        stream = (published.FOLDER / f"{case.name}.p4dgs").read_bytes()
+        stream = (streams.STREAMS / f"{case.name}.p4dgs").read_bytes()
         assert case.inputs()["stream"].tobytes() == stream
         raise PortError("skipped", "does not draw")
 
@@ -325,4 +273,4 @@ def test_the_manifest_says_where_and_what(tmp_path):
         if record["result"] == "valid":
             assert (tmp_path / record["expected"]).is_file()
             assert {entry["name"] for entry in record["arrays"]} <= set(streams.BLAMED)
-            assert {entry["type"] for entry in record["arrays"]} <= {*published.TYPES, "bit"}
+            assert {entry["type"] for entry in record["arrays"]} <= {*streams.TYPES, "bit"}

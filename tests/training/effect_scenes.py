@@ -1,17 +1,18 @@
 """What the tests of effects share: the packaged scenes, made small, and short trainings of them."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from p4dgs_ref.designs import encode
-from p4dgs_ref.lab.effect_ledger import counted
+from p4dgs_ref.codec.file import encode
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.watch import equation_codes, watching
 
 # One packaged scene for each list of effects; orbit lists those of bouncing, orientation static's.
 SCENES = ("bouncing", "figure", "glossy", "static")
@@ -33,13 +34,19 @@ def listed(effects, effect, on):
 
 @cache
 def trained(name, effect, on):
-    """A short training with one effect forced on or off: trainer, work of its last step, file."""
+    """A short training with one effect forced on or off: trainer, its file, and calls.
+
+    Calls {(equation, "forward" or "backward"): number} are those of the last step.
+    """
     scene = small_scene(name)
     trainer = Trainer(replace(scene, effects=listed(scene.effects, effect, on)), SHORT)
     while trainer.iteration < SHORT.iterations:
-        with counted() as work:
+        calls = Counter()
+        with watching(
+            equation_codes(), lambda event, mark, *_: calls.update([mark] * (event == "call"))
+        ):
             trainer.step()
-    return trainer, work, encode(trainer.model())
+    return trainer, encode(trainer.model()), calls
 
 
 def small_camera(camera, width=8):

@@ -111,14 +111,28 @@ def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
     assert not advice.after(still)
 
 
-@pytest.mark.parametrize("work", [p4.train, p4.main_job])
-def test_training_warns_before_and_after(work, tmp_path):
+WARNINGS = ("training views", "1 of 5 pictures", "8 sharing the voxel", "is lost")
+
+
+def odd():
+    """A scene of few views, a blank picture and points that merge, which nobody can learn."""
     view, *others = moving().train
     blank = replace(view, image=np.ones_like(view.image))
-    odd = replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
-    told = messages(work, odd, "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
-    words = ("training views", "1 of 5 pictures", "8 sharing the voxel", "is lost")
-    assert [word in line for word, line in zip(words, told, strict=True)] == [True] * 4
+    return replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
+
+
+@pytest.mark.parametrize("work", [p4.train, p4.main_job])
+def test_training_warns_before_and_after(work, tmp_path):
+    told = messages(work, odd(), "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
+    assert [word in line for word, line in zip(WARNINGS, told, strict=True)] == [True] * 4, told
+
+
+def test_the_command_prints_every_warning_beside_its_result(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(p4, "load_scene", lambda *_, **__: odd(), raising=False)
+    short = ["--preset", "smoke", "--set", "stage_ends=1,2,3,4", "--quiet"]
+    assert cli.run(["train", "static", *short, "-o", str(tmp_path / "run")], 0.0) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "warning: " in line]
+    assert [word in line for word, line in zip(WARNINGS, told, strict=True)] == [True] * 4, told
 
 
 @pytest.mark.filterwarnings("always:views")

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training import loop
+from p4dgs_ref.training import trainer as training
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Adam, Parameters, exponential
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
@@ -210,6 +211,14 @@ def test_snap_rounds_to_nearest_and_survives_flat_boxes():
     assert np.array_equal(snap(positions, lo, hi)[0], symbols)
 
 
+@pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
+def test_the_seed_decides_the_file(scene):
+    short = dict(preset="smoke", stage_ends=SHORT.stage_ends)
+    files = [p4.encode(p4.train(scene, seed=seed, **short)) for seed in (0, 0, 1)]
+    assert files[0] == files[1], "one seed gave two files"
+    assert files[0] != files[2], "two seeds gave one file"
+
+
 def test_every_view_comes_once_before_any_comes_twice(scene):
     trainer = Trainer(scene, SMOKE)
     names = [trainer.next_view().name for _ in range(2 * len(scene.train))]
@@ -275,12 +284,12 @@ def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
     """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
     ends, most = [], []
     of_one_view = 4 * 8 * scene.train[0].image.size
-    for budget in (loop.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
-        monkeypatch.setattr(loop, "MAX_MOMENT_BYTES", budget)
+    for budget in (training.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
+        monkeypatch.setattr(training, "MAX_MOMENT_BYTES", budget)
         trainer = Trainer(scene, SHORT, seed=1)
         trainer.run()
         ends.append(trainer.parameters.vector.tobytes())
-        most.append(len(trainer.moments))
+        most.append(trainer.moments_of.cache_info().currsize)
     assert ends[0] == ends[1] == ends[2] and most == [5, 2, 0]
 
 

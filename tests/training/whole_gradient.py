@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 16, 12
 SMALL = replace(SMOKE, anchors=9, deformation_gain=1.0, feature_std=0.7, extent=0.6)
 
 
-def setting(effects=MODEL_EFFECTS, stage=4, seed=0, weighted=False, preset=SMALL, kind=initial):
+def setting(effects=MODEL_EFFECTS, stage=4, seed=0, preset=SMALL, kind=initial):
     """A small model in float64 with every network awake, one view of it, and noise.
 
     `kind` has the functions `design_of` and `initial_parameters`.
@@ -54,7 +54,6 @@ def setting(effects=MODEL_EFFECTS, stage=4, seed=0, weighted=False, preset=SMALL
         lambda_rate=0.02,
         lambda_ssim=0.2,
         settings=FAST._replace(dtype="float64", cut=1e-14, stop=0.0),
-        weight=rng.uniform(1, 6, (HEIGHT, WIDTH, 1)) if weighted else 1.0,
     )
     return p, design, inputs, view, u
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.codec.published import FOLDER
 from p4dgs_ref.oracle import checker, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.report.inspect import anchor_bits, components
@@ -37,7 +36,7 @@ const pictures = (view) => [
   [...draw.onProcessor(draw.see(model, view, view.t).splats, draw.settings(model, view))],
 ];
 const drawn = JSON.parse(readFileSync(0)).map(pictures);
-const coarse = requantise(model, p4dgs.openContainer(data).sections, { coarser: 2 }).bytes;
+const coarse = requantise(model, { coarser: 2 }).bytes;
 console.log(JSON.stringify({ drawn, coarse, bits: [...anchorBits(model)] }));
 """
 
@@ -63,7 +62,7 @@ const [p4dgs, { requantise }] = ["p4dgs", "requantise"].map(
 );
 const data = new Uint8Array(require("fs").readFileSync(process.argv[2]));
 const model = p4dgs.decode(data);
-const broken = (how) => requantise(model, p4dgs.openContainer(data).sections, how).model.networks;
+const broken = (how) => requantise(model, how).model.networks;
 const weights = (networks) => Object.values(networks).flat().flatMap(({ W, b }) => [...W, ...b]);
 const own = weights(model.networks);
 const factors = weights(broken({ weight: true })).map((w, i) => w / own[i]);
@@ -104,13 +103,13 @@ def test_every_subject_and_stream_of_the_port_is_right(port):
 
 def test_bad_streams_are_refused_where_they_are_bad(port):
     for row in streams.read_rows()["bad"]:
-        said = answer(port, (FOLDER / row["file"]).read_bytes())
+        said = answer(port, (streams.STREAMS / row["file"]).read_bytes())
         asked = [field for field in ("section", "kind", "offset") if row[field] is not None]
         assert {field: said[field] for field in asked}.items() <= row.items(), row["name"]
 
 
 def test_headers_end_where_the_page_says(port):
-    least = (FOLDER / "one_anchor.p4dgs").read_bytes()
+    least = (streams.STREAMS / "one_anchor.p4dgs").read_bytes()
     for name, value, allowed in ENDS_OF_RANGES:
         said = answer(port, with_field(least, name, value))
         assert (said.get("section") != "header") == allowed, (name, value)
@@ -118,7 +117,7 @@ def test_headers_end_where_the_page_says(port):
 
 @pytest.mark.parametrize("n", [100, pytest.param(2000, marks=pytest.mark.slow)])
 def test_damaged_files_get_the_verdict_of_the_package(port, n):
-    files = [(FOLDER / row["file"]).read_bytes() for row in streams.read_rows()["good"]]
+    files = [(streams.STREAMS / row["file"]).read_bytes() for row in streams.read_rows()["good"]]
     for i in range(n):
         data = mutation(n, i, files).data
         try:

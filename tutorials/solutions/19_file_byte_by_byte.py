@@ -8,7 +8,8 @@ import zlib
 import numpy as np
 
 from p4dgs_ref import lessons, oracle
-from p4dgs_ref.codec import container, published
+from p4dgs_ref.codec import container
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.oracle import streams
 
 # %% [markdown]
@@ -63,7 +64,7 @@ def refuses(read, data):
 def stored(kind):
     rows = streams.read_rows()[kind]
     files = [row["file"] for row in rows if not row["file"].startswith("coded_")]
-    return [(published.FOLDER / file).read_bytes() for file in files]
+    return [(STREAMS / file).read_bytes() for file in files]
 
 
 good = stored("good")

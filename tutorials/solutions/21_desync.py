@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref import lessons
-from p4dgs_ref.codec import context, published
+from p4dgs_ref.codec import context
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
@@ -43,7 +43,7 @@ full_row = rows["full"]
 stored = {}
 for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
-stream = (published.FOLDER / "full.p4dgs").read_bytes()
+stream = (streams.STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(read_container(stream)).model
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)

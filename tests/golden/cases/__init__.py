@@ -1,7 +1,6 @@
 """The named inputs on which every equation is tested and from which its vectors are published.
 
-One module an equation, `cases/<key>.py`, with a function `cases()` that yields `Case`s. Those of
-the baselines are in `tests/lab/baselines/cases`.
+One module an equation, `cases/<key>.py`, with a function `cases()` that yields `Case`s.
 """
 
 from importlib import import_module
@@ -74,8 +73,8 @@ def without_view(inputs):
 
 def cases_of(key):
     """The cases of the equation with that key; none where it has no file of cases."""
-    modules = (f"{place}.{key}" for place in (__name__, "tests.lab.baselines.cases"))
-    return next((list(import_module(name).cases()) for name in modules if find_spec(name)), [])
+    module = f"{__name__}.{key}"
+    return list(import_module(module).cases()) if find_spec(module) else []
 
 
 def case_of(key, name="ordinary"):

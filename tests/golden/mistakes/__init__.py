@@ -6,7 +6,6 @@ answers to the published cases, which `p4dgs_ref.oracle.doctor` compares with a 
 """
 
 from tests.golden.mistakes import (
-    baselines,
     compositing,
     encoding,
     geometry,
@@ -33,7 +32,6 @@ MISTAKES = [
     *kernel.MISTAKES,
     *encoding.MISTAKES,
     *training.MISTAKES,
-    *baselines.MISTAKES,
 ]
 
 __all__ = ["MISTAKES", "Mistake", "NotApplicable"]

@@ -133,8 +133,8 @@ RENDER_LOSS = [
         "render-loss-squares",
         "the mean square for the mean absolute difference",
         {
-            "(weight * np.abs(difference)).mean": "np.square(difference).mean",
-            "(weight * np.sign(difference), lambda_ssim": "(2 * difference, lambda_ssim",
+            "np.abs(difference).mean": "np.square(difference).mean",
+            "(np.sign(difference), lambda_ssim": "(2 * difference, lambda_ssim",
         },
     ),
     edited(
@@ -142,7 +142,7 @@ RENDER_LOSS = [
         "render-loss-sum",
         "L1 is the sum over the pixels instead of the mean",
         {
-            "np.abs(difference)).mean": "np.abs(difference)).sum",
+            "np.abs(difference).mean": "np.abs(difference).sum",
             "L1_bar / slope.size * slope": "L1_bar * slope",
         },
     ),
@@ -169,7 +169,7 @@ RENDER_LOSS = [
         "render-loss-sign-of-zero",
         "where image and truth are equal, L1 has slope 1, not the convention 0 of all kinks here",
         {
-            "(weight * np.sign(difference), lambda_ssim": (
+            "(np.sign(difference), lambda_ssim": (
                 "(np.where(difference >= 0, 1, -1).astype(image.dtype), lambda_ssim"
             ),
         },
@@ -194,7 +194,7 @@ RENDER_LOSS = [
                 "precision(1 - lambda_ssim) * "
                 "precision(np.square(difference).mean(dtype=np.float64))"
             ),
-            "(weight * np.sign(difference), lambda_ssim": (
+            "(np.sign(difference), lambda_ssim": (
                 "((np.sign(difference), 2 * difference), lambda_ssim"
             ),
             "slope, lambda_ssim, saved_ssim = saved": (
@@ -211,10 +211,10 @@ RENDER_LOSS = [
         "render-loss-root-mean-square",
         "the root of the mean square for the mean absolute difference",
         {
-            "(weight * np.abs(difference)).mean(dtype=np.float64)": (
+            "np.abs(difference).mean(dtype=np.float64)": (
                 "np.sqrt(np.square(difference).mean(dtype=np.float64))"
             ),
-            "(weight * np.sign(difference), lambda_ssim": "(difference / L1, lambda_ssim",
+            "(np.sign(difference), lambda_ssim": "(difference / L1, lambda_ssim",
         },
     ),
     edited(
@@ -222,7 +222,7 @@ RENDER_LOSS = [
         "render-loss-negative-sign-of-zero",
         "where image and truth are equal, L1 has slope -1, not the convention 0 of all kinks here",
         {
-            "(weight * np.sign(difference), lambda_ssim": (
+            "(np.sign(difference), lambda_ssim": (
                 "(np.where(difference > 0, 1, -1).astype(image.dtype), lambda_ssim"
             ),
         },

@@ -328,55 +328,6 @@ LIKELIHOOD = [
 ]
 
 
-# --- B1 -----------------------------------------------------------------------------------------
-
-
-WEIGHT_BITS = [
-    known(
-        "weight_bits",
-        "weight-bits-no-step",
-        "the weights are not divided by the step",
-        inputs={"step": np.ones_like},
-        inputs_bar={"step": no_gradient},
-    ),
-    known(
-        "weight_bits",
-        "weight-bits-whole-step",
-        "the bin reaches from k - 1 to k + 1",
-        inputs={"step": lambda step: 2 * step, "b": lambda b: b / 2},
-        inputs_bar={"step": lambda bar, _: 2 * bar},
-    ),
-    known(
-        "weight_bits",
-        "weight-bits-nats",
-        "the bits are nats: the natural logarithm for that to base 2",
-        outputs={"bits": lambda bits: bits * LOG_2},
-        outputs_bar={"bits": lambda bar, _: bar * LOG_2},
-    ),
-    edited(
-        "weight_bits",
-        "weight-bits-density",
-        "the density at k for the mass of the bin",
-        {
-            "log_p * w.dtype.type(TO_BITS)": "(a / b + np.log(2 * b)) * w.dtype.type(-TO_BITS)",
-            "np.where(around, (low - high) / (2 * p), 1) / b": "1 / b",
-        },
-    ),
-    known(
-        "weight_bits",
-        "weight-bits-no-gradient-of-step",
-        "no gradient flows to the step",
-        inputs_bar={"step": no_gradient},
-    ),
-    known(
-        "weight_bits",
-        "weight-bits-sign-of-step",
-        "the gradient of the step has the wrong sign",
-        inputs_bar={"step": lambda bar, _: -bar},
-    ),
-]
-
-
 # --- Eq. (12) -----------------------------------------------------------------------------------
 
 
@@ -609,4 +560,5 @@ ANCHOR_RATE = [
     ),
 ]
 
-MISTAKES = [*NOISE, *STEP, *ROUNDING, *LIKELIHOOD, *WEIGHT_BITS, *PRIOR, *ANCHOR_RATE]
+
+MISTAKES = [*NOISE, *STEP, *ROUNDING, *LIKELIHOOD, *PRIOR, *ANCHOR_RATE]

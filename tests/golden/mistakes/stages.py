@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from p4dgs_ref.designs import decode
+from p4dgs_ref.codec.file import decode
 from p4dgs_ref.equations import deformation, deformed
 from tests.golden.mistakes.kit import given_as, known, port, surgery
 from tests.golden.pipeline import drawn_from, frames_vjp

@@ -4,10 +4,10 @@ from decimal import Decimal
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.oracle.tolerance import cotangents_of
+from p4dgs_ref.table import EQUATIONS
 
 from .floats import to_float, wrapped
 from .functions import working
@@ -22,12 +22,12 @@ def error(key, case, dtype=np.float64, scale=None, samples=None):
     integer, a mask, an infinity or a shape is wrong. `samples` limits the elements of each gradient
     array. Raises OverflowError where inputs leave the range of `dtype`.
     """
-    eq, eps = ALL_EQUATIONS[key], float(np.finfo(dtype).eps)
+    eq, eps = EQUATIONS[key], float(np.finfo(dtype).eps)
     inputs = held(case.inputs, dtype)
     outputs, pullback = eq.vjp(**inputs)
     got, want = flatten(outputs, "out."), flatten(value(key, inputs), "out.")
     if eq.gradients:
-        bars = cotangents_of(eq, outputs, f"{key}/{case.name}", case.cotangents)
+        bars = cotangents_of(eq, outputs, f"{key}/{case.name}") | case.cotangents
         bars = held(bars, dtype)
         got |= flatten(pullback(**bars), "in_bar.")
         want |= flatten(gradient(key, inputs, bars, samples=samples), "in_bar.")

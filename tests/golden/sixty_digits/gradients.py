@@ -12,7 +12,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from . import baselines, images, prediction, rates
+from . import images, prediction, rates
 from .floats import exact, wrapped
 from .functions import WORKING, working
 
@@ -20,7 +20,6 @@ FORMULAS = {
     **prediction.FORMULAS,
     **rates.FORMULAS,
     **images.FORMULAS,
-    **baselines.FORMULAS,
 }
 # Their `grids` pass a sign: it is held, while the clipped parameter moves.
 STRAIGHT_THROUGH = ("hash_grid", "hash_rate")
@@ -29,11 +28,6 @@ MEETS = {
     "deformation": ("t", "x"),
     "masking": ("tau_alpha", "alpha"),
     "compositing": ("alpha_max", "alpha"),
-    "deformation_d3dgs": ("t", "x"),
-    "plane_features": ("t", "x"),
-    "conditional": ("t", "mu_t"),
-    "marginal": ("t", "mu_t"),
-    "spherindrical": ("t", "mu_t"),
 }
 
 NAN = Decimal("NaN")

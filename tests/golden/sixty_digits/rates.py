@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from .floats import each
-from .functions import HALF, exp, guard, log, log1p, log_mass, sigmoid
+from .functions import exp, log, log1p, log_mass, sigmoid
 from .prediction import network
 
 FLOOR = Decimal(2) ** -10  # Q7, of Q_0
@@ -108,18 +108,6 @@ def forward_likelihood(f_noisy, mu, sigma, q):
     return {"bits": -each(log_mass, (f_noisy - mu) / sigma, q / sigma) / log(Decimal(2))}
 
 
-def forward_weight_bits(w, step, b):
-    return {"bits": -each(log_laplace_mass, w / step, b) / log(Decimal(2))}
-
-
-def log_laplace_mass(k, b):
-    """The log of the mass of the bin around k, from both tails."""
-    with guard(40):
-        below, above = (exp(-abs(abs(k) + side) / b) / 2 for side in (-HALF, HALF))
-        mass = below - above if abs(k) >= HALF else 1 - below - above
-        return log(mass)
-
-
 def forward_anchor_rate(bits_f, bits_O, bits_l, bits_s, mask):
     """Masked offsets cost nothing."""
     return {
@@ -158,7 +146,6 @@ FORMULAS = {  # key -> formula, inputs that receive a gradient
     "hash_grid": (forward_hash_grid, ("grids",)),
     "rounding": (forward_rounding, ()),
     "likelihood": (forward_likelihood, ("f_noisy", "mu", "sigma", "q")),
-    "weight_bits": (forward_weight_bits, ("w", "step")),
     "prior": (forward_prior, CONTEXT_NET),
     "anchor_rate": (forward_anchor_rate, ("bits_f", "bits_O", "bits_l", "bits_s")),
     "hash_rate": (forward_hash_rate, ("grids",)),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines import ALL_EQUATIONS
+from p4dgs_ref.table import EQUATIONS
 from tests.golden.cases import cases_of
 
 from .errors import error
@@ -77,13 +77,13 @@ def text(errors):
 
 
 def main(keys):
-    unknown = [key for key in keys if key not in ALL_EQUATIONS]
+    unknown = [key for key in keys if key not in EQUATIONS]
     if unknown:
-        sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(ALL_EQUATIONS)}")
+        sys.exit(f"equation {unknown[0]!r}: expected one of {', '.join(EQUATIONS)}")
     kept = json.loads(FILE.read_text(encoding="utf-8"))["errors"] if keys else {}
-    errors = {**kept, **record(keys or ALL_EQUATIONS)}
+    errors = {**kept, **record(keys or EQUATIONS)}
     FILE.write_text(
-        text({key: errors[key] for key in ALL_EQUATIONS if key in errors}), encoding="utf-8"
+        text({key: errors[key] for key in EQUATIONS if key in errors}), encoding="utf-8"
     )
 
 

@@ -772,10 +772,10 @@ assert abs(gain[1]) < 0.01 and gain[30] > 0.35
 # BD-rate, and our function says why instead of extrapolating.
 
 # %%
-from p4dgs_ref.codec import published
+from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.report.inspect import ledger
 
-sections = ledger((published.FOLDER / "full.p4dgs").read_bytes())
+sections = ledger((STREAMS / "full.p4dgs").read_bytes())
 coded = ("features", "scales", "offset_scales", "offsets", "hash_grid")
 for part in sections:
     if part["name"] in coded:

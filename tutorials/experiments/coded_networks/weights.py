@@ -113,7 +113,7 @@ def read_networks(data, section, shapes):
     scales = []
     for (_, J), (t_W, t_b) in zip(layers, levels):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
-    symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
+    symbols = decode_symbols(data[at:], tables_of(np.concatenate(scales)), section)
     require(
         np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,

@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.splats import write_gaussians
 from p4dgs_ref.model import Gaussians
+from p4dgs_ref.report.splats import write_gaussians
 from p4dgs_ref.scenes import SceneError
 from p4dgs_ref.scenes.files import read_points
 from p4dgs_ref.splatting import render

@@ -1,10 +1,10 @@
-"""Cases of B1."""
+"""Cases of B1, the bits of a coded weight."""
 
 import math
 
 import numpy as np
 
-from . import Case
+from tests.golden.cases import Case
 
 
 def cases():
