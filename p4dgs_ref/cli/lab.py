@@ -1,31 +1,52 @@
-"""The commands of the laboratory: what choices cost, the paper's tables, the classroom.
+"""The commands of the laboratory: accuracy, hard cases, effects, and the classroom.
 
 Each imports the part of the laboratory that it needs.
 """
 
+import os
+import sys
 from contextlib import nullcontext
-from functools import partial
+from pathlib import Path
 
 from ..output import filled
+from ..report.figures import write_csv
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from . import progress, require, say, show, tell
-from .job import estimate
+from . import progress, require, say, show, tell, whisper
+from .job import read_file
+
+JOBS = os.cpu_count() or 1  # processes of independent trainings
 
 
-def turn_knobs(arguments):
-    """Turn the knobs that trade accuracy for time or bytes, and write a page about them."""
-    from ..lab.accuracy import report as accuracies
+def ask(arguments, what, seconds):
+    """Say how long trainings take, and go on only if the user wants it; --yes does."""
+    estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
+    is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+    expected = "where there is no terminal to ask on"
+    require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
+    say(estimate)
+    if not arguments.yes:
+        whisper("go on? [y/N] ")
+        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+            raise KeyboardInterrupt
+
+
+def accuracy(arguments):
+    """Time the forms of five functions, and draw their losses against their times."""
+    from ..lab import accuracy as study
+    from ..lab.accuracy import picture, trainings
 
     with filled(arguments.output) as staging:
-        result = accuracies.run(
-            arguments.only or None,
-            staging,
-            arguments.output,
-            arguments.quick,
-            progress,
-            arguments.jobs,
-        )
-    show(arguments, result, accuracies.to_text(result, arguments.output))
+        trained = trainings.read()
+        if arguments.train:
+            tasks = trainings.tasks_of_record()
+            ask(arguments, f"{len(tasks)} trainings", trainings.seconds_of(tasks, JOBS))
+            trained = trainings.make(tasks, JOBS, progress)
+            write_csv(staging / "training.csv", trained)
+        rows = study.measure(trained, progress)
+        write_csv(staging / "accuracy.csv", rows)
+        picture.draw(staging / "accuracy.png", rows)
+    text = f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png"
+    show(arguments, {"rows": rows, "disturbed": study.disturbed(rows)}, text)
 
 
 def hard_cases(arguments):
@@ -40,23 +61,34 @@ def hard_cases(arguments):
 
 
 def effects(arguments):
-    """Train with and without each effect, or say which effects the pictures call for."""
+    """Count what the effects of a scene or file cost; train to tell what they gain."""
     from ..lab import effect_ledger
+    from ..lab.accuracy import trainings
 
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
-    require(
-        not (arguments.suggest and arguments.output),
-        f"-o {arguments.output}",
-        "expected without --suggest, which writes no files",
-    )
     if arguments.suggest:
+        require(not arguments.gain, "--gain", "expected without --suggest")
+        where = f"-o {arguments.output}"
+        require(not arguments.output, where, "expected without --suggest, which writes no files")
         return suggest_effects(arguments)
-    folder = arguments.output or "report/effects"
-    with filled(folder) as staging:
-        tasks = effect_ledger.plan(load_scene(arguments.scene), folder)
-        make_rows(arguments, tasks)
-        rows = effect_ledger.collect(tasks, staging)
-    show(arguments, {"effects": rows}, effect_ledger.to_text(rows))
+    folder = arguments.output or "report"
+    is_file = Path(arguments.scene).is_file()
+    require(not (is_file and arguments.gain), arguments.scene, "expected a scene for --gain")
+    with filled(folder, arguments.scene if is_file else None) as staging:
+        if is_file:
+            ledger = effect_ledger.of_model(read_file(arguments.scene)[1])
+        else:
+            scene = load_scene(arguments.scene)
+            ledger = effect_ledger.of_scene(scene)
+        if arguments.gain:
+            tasks = effect_ledger.tasks_of(scene)
+            ask(arguments, f"{len(tasks)} trainings", trainings.seconds_of(tasks, JOBS))
+            trained = trainings.make(tasks, JOBS, progress)
+            write_csv(staging / "effects.csv", trained)
+            effect_ledger.add_gains(ledger, trained)
+        effect_ledger.draw_ledger(staging / "effects.png", ledger["effects"])
+    text = f"{effect_ledger.to_text(ledger)}\npicture: {folder}/effects.png"
+    show(arguments, ledger, text)
 
 
 def suggest_effects(arguments):
@@ -69,20 +101,13 @@ def suggest_effects(arguments):
         "--apply",
         f"{folder} is a packaged scene; expected a folder of yours",
     )
-    say(f"--suggest: about {seconds_of(scene, jobs=arguments.jobs):.0f} s of short trainings")
-    rows = suggest(scene, progress=progress, jobs=arguments.jobs)
+    ask(arguments, "short trainings", seconds_of(scene, JOBS))
+    rows = suggest(scene, progress, JOBS)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
         called = [row["effect"] for row in rows if row["called_for"]]
         lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
     show(arguments, {"effects": rows}, "\n".join(lines))
-
-
-def make_rows(arguments, tasks):
-    """Make the rows that are missing, after an estimate of the time."""
-    from ..lab.tables import methods
-
-    methods.make_missing(tasks, progress, arguments.jobs, partial(estimate, arguments))
 
 
 def classroom(arguments):
@@ -108,6 +133,8 @@ def grade(arguments):
             seed=arguments.seed,
             progress=progress,
         )
+        text = room.to_text(grades)
         if staging:
-            room.write(grades, staging)
-    show(arguments, grades, room.to_text(grades))
+            (staging / "grades.txt").write_text(f"{text}\n", encoding="utf-8")
+            write_csv(staging / "grades.csv", room.rows_of(grades))
+    show(arguments, grades, text)

@@ -5,7 +5,6 @@ that `p4dgs-ref --help` is quick and a mistake in an option is reported at once.
 """
 
 import argparse
-import os
 import sys
 import warnings
 from contextlib import suppress
@@ -80,14 +79,8 @@ def preset(default, help):
 
 
 JSON = switch("--json", "print JSON instead of text")
-JOBS = option(
-    "--jobs",
-    type=bounded(int, 1),
-    default=os.cpu_count() or 1,
-    metavar="N",
-    help="processes for independent trainings (default: one for every core)",
-)
 YES = switch("--yes", "go on although the estimate is over an hour")
+ASKED = switch("--yes", "go on with trainings without being asked")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
@@ -283,19 +276,13 @@ GROUPS = {
     },
     "Measure, for those who ask what a choice costs": {
         "accuracy": (
-            "lab.turn_knobs",
-            "what accuracy costs in time and bytes: a table of knobs, with a figure for each",
+            "lab.accuracy",
+            "what accuracy costs in time: renderers, precision, Eq. (11), noise, iterations",
             (
                 JSON,
-                several("--only", "NAME", "only this knob or harness; may be repeated"),
-                switch(
-                    "--quick", "small sizes and no training, less than a minute instead of hours"
-                ),
-                JOBS,
-                output(
-                    "folder of accuracy.md and its figures (report/accuracy)",
-                    default="report/accuracy",
-                ),
+                switch("--train", "train anew for the panel of iterations, instead of its record"),
+                ASKED,
+                output("folder of accuracy.png and accuracy.csv (report)", default="report"),
             ),
         ),
         "stability": (
@@ -309,14 +296,15 @@ GROUPS = {
         ),
         "effects": (
             "lab.effects",
-            "what each effect of a scene costs and is worth, or which effects it needs",
+            "what each effect of a scene costs, and that the others cost nothing",
             (
-                SCENE,
+                option("scene", help=f"{SCENE_HELP}, or a .p4dgs file"),
                 JSON,
+                switch("--gain", "also train with and without each effect: what it gains"),
                 switch("--suggest", "only say which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
-                JOBS,
-                output("folder to write to; its trainings are kept (report/effects)"),
+                ASKED,
+                output("folder of effects.png (report)"),
             ),
         ),
     },
@@ -354,7 +342,7 @@ GROUPS = {
                     metavar="N",
                     help="of the inputs; students must not know it (drawn and printed)",
                 ),
-                output("folder for grades.txt, .json and .csv"),
+                output("folder for grades.txt and grades.csv"),
             ),
         ),
     },
@@ -407,10 +395,6 @@ def parser():
 # The end of the message of a stopped command: what is kept, and how to go on.
 STOPPED = {
     "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
-    **dict.fromkeys(
-        ("accuracy", "effects"),
-        "; the trainings that are done are kept, the same command makes the others",
-    ),
     "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "
     "checkpoints, from which --resume goes on",
 }

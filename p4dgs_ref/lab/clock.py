@@ -6,9 +6,12 @@ ahead of the processor's, the measurement was disturbed.
 """
 
 import time
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+
+from ..training.trainer import Trainer
 
 ROUND_SECONDS = 0.3  # shorter rounds are repeated more often: other programs disturb them more
 MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, where nothing disturbs
@@ -19,25 +22,20 @@ def clocks():
     return np.array([time.process_time(), time.perf_counter()])
 
 
-def clocked(function, *args, **kwargs):
+def clocked(function):
     """The result of a function, and the seconds [2] that it took on both clocks."""
     start = clocks()
-    result = function(*args, **kwargs)
+    result = function()
     return result, clocks() - start
 
 
 class Times(NamedTuple):
     """Milliseconds of processor time over several turns, and the wall clock's ratio to them."""
 
-    median: float
-    low: float  # the first quartile
-    high: float  # the third quartile
+    ms: float  # the median
+    ms_low: float  # the first quartile
+    ms_high: float  # the third quartile
     stretch: float  # wall clock over processor
-
-    def columns(self, unit="ms", factor=1.0):
-        """The columns of a table: {unit, unit_low, unit_high, stretch}."""
-        median, low, high = (factor * ms for ms in self[:3])
-        return {unit: median, f"{unit}_low": low, f"{unit}_high": high, "stretch": self.stretch}
 
 
 def times_of(turns):
@@ -47,12 +45,11 @@ def times_of(turns):
     return Times(float(median), float(low), float(high), float(wall.sum() / processor.sum()))
 
 
-def alternate(functions, repeats, clocked=clocked):
+def alternate(functions, repeats):
     """The Times of one call of each function, {name: Times}.
 
     The functions are called in turn, so that a disturbance meets all of them, after one call to
     warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
-    A function may run in another process, which `clocked` then asks for its result and its seconds.
     """
     spent = sum(clocked(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}
@@ -62,20 +59,14 @@ def alternate(functions, repeats, clocked=clocked):
     return {name: times_of(seconds) for name, seconds in turns.items()}
 
 
-# --- what may be said ----------------------------------------------------------------------------
-def can_tell(row, other, unit="ms"):
-    """Whether two times differ: by more than the wider of their ranges from quartile to quartile.
+def can_tell(one, other):
+    """Whether two Times differ: by more than the wider of their ranges from quartile to quartile.
 
     These ranges must not overlap either.
     """
-    lows, highs = ([r[f"{unit}_{end}"] for r in (row, other)] for end in ("low", "high"))
-    spread = max(high - low for low, high in zip(lows, highs))
-    return abs(row[unit] - other[unit]) > spread and max(lows) > min(highs)
-
-
-def stretch_of(rows):
-    """The ratio of the wall clock to the processor's in the middle of some measurements."""
-    return float(np.median([row["stretch"] for row in rows]))
+    spread = max(times.ms_high - times.ms_low for times in (one, other))
+    overlap = max(one.ms_low, other.ms_low) <= min(one.ms_high, other.ms_high)
+    return abs(one.ms - other.ms) > spread and not overlap
 
 
 def disturbance(stretch):
@@ -87,3 +78,22 @@ def disturbance(stretch):
         "other programs took turns with the measurement. Processor times leave out their turns, "
         "but not what they do to caches and frequency."
     )
+
+
+def step_at(scene, preset, stage):
+    """A function that does the second step of a stage again and again.
+
+    The first step, which is done here, may have work that a stage does only once.
+    """
+    # The anchors stay as they are.
+    trainer = Trainer(scene, replace(preset, grow_every=10**9))
+    trainer.iteration, end = (0, *preset.stage_ends)[stage - 1 : stage + 1]
+    second = min(trainer.iteration + 1, end - 1)
+    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
+        trainer.step()
+
+    def step():
+        trainer.iteration = second
+        trainer.step()
+
+    return step

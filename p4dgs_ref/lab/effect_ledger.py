@@ -1,9 +1,9 @@
-"""The ledger of effects: what each effect of the closed list costs a scene, and what it is worth.
+"""The ledger of effects: the work and the bytes of each effect of a scene, and what it gains.
 
-Trainings with the scene's own list are compared with others in which one effect alone is switched,
-at the same seeds. A gain counts as one where it is larger than twice its standard error. Work and
-bytes are those that go where this effect alone is switched off: hidden layers that it shares with
-another one stay. Steps are timed in turn, so that whatever disturbs the machine disturbs all.
+Work is counted while frames are drawn, from what the equations save. Work and bytes are those that
+would go if this effect alone were switched off: hidden layers that it shares with another one stay.
+A gain is measured by trainings, with the list of the scene and with one effect switched, at the
+same seeds. It counts as one where it is larger than twice its standard error.
 """
 
 from collections import Counter
@@ -14,40 +14,27 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import effects as fx
-from ..codec.file import decode
 from ..model import declared_numbers
-from ..report.figures import BLUE, save_figure, styled, subplots, write_csv
+from ..report.figures import BLUE, held_camera, save_figure, styled, subplots
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting import render
 from ..splatting.settings import FAST
+from ..training.presets import TINY
+from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watching
-from .accuracy.harness import step_at
-from .clock import alternate
-from .tables import methods
-from .tables.methods import OURS
 from .writer import text_table, twice_standard_error
 
-TURNS = 15  # of the steps that are timed
+SEEDS = 3
 AS_LISTED = "as listed"
 VIEW_EFFECTS = {  # the effect for which an equation of the anchor networks reads the view
     **dict.fromkeys(("opacity", "rotation", "scale"), "view_geometry"),
     "color": "view_color",
 }
-COLUMNS = {
-    "effect": "{effect}",
-    "listed": "{listed}",
-    "ms on": "{ms_on:.2f}",
-    "ms off": "{ms_off:.2f}",
-    "bytes on": "{bytes_on:,.0f}",
-    "bytes off": "{bytes_off:,.0f}",
-    "work on": "{work_on:,.0f}",
-    "work off": "{work_off:,.0f}",
-    "worth dB": "{worth}",
+# Equations that are called only for these effects.
+CALLED_FOR = {
+    "view": ("view_color", "view_geometry"),
+    **dict.fromkeys(("positional_encoding", "deformation", "deformed"), fx.MOTION),
 }
-UNITS = (
-    "ms per training step; bytes of weights; multiply-adds of a frame; PSNR with it minus without "
-    "it, test views, ± twice the standard error, and none if it is smaller"
-)
 
 
 # --- work and bytes -------------------------------------------------------------------------------
@@ -91,9 +78,8 @@ def multiply_adds(key, saved):
     return {}
 
 
-def effect_bytes(data):
-    """{effect: bytes} of the weights in a file, two bytes each, that only this effect needs."""
-    design = decode(data).design
+def effect_bytes(design):
+    """{effect: bytes} of the weights, two bytes each, that only this effect needs."""
 
     def size(effects):
         return 2 * declared_numbers(replace(design, effects=effects), 0)["networks"]
@@ -102,22 +88,22 @@ def effect_bytes(data):
     return {effect: size(design.effects) - size(others) for effect, others in without.items()}
 
 
-def costs(data, views):
-    """Columns of each effect that is on in a file: bytes, and multiply-adds of the mean frame."""
-    model, sizes = decode(data), effect_bytes(data)
+def costs(model, frames):
+    """What the effects of a model cost in frames, a list of (camera, time).
+
+    Returns {effect: {"work": multiply-adds of the mean frame, "bytes"}}, and the equations that
+    were called.
+    """
     occlusion = "occlusion" in model.design.effects
     with counted() as work:
-        for view in views:
-            *looks, _ = model.gaussians(view.time, view.camera)
-            render.forward(*looks, view.camera, model.background, FAST, occlusion)
+        for camera, time in frames:
+            *looks, _ = model.gaussians(time, camera)
+            render.forward(*looks, camera, model.background, FAST, occlusion)
+    sizes = effect_bytes(model.design)
     return {
-        f"{kind}_{effect}": amount
-        for effect in model.design.effects
-        for kind, amount in (
-            ("bytes", sizes[effect]),
-            ("work", round(work.multiply_adds[effect] / len(views))),
-        )
-    }
+        effect: {"work": round(work.multiply_adds[effect] / len(frames)), "bytes": sizes[effect]}
+        for effect in MODEL_EFFECTS
+    }, {key for key, _ in work.calls}
 
 
 # --- the ledger -----------------------------------------------------------------------------------
@@ -126,135 +112,131 @@ def switched(scene, effect):
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
-def plan(scene, folder, seeds=3, **changes):
-    """The Tasks of the scene as it is listed and with each effect alone switched, for each seed.
+def of_scene(scene):
+    """The ledger of a scene, from untrained models of the preset `tiny` and its test views.
 
-    `changes` are those of the preset.
+    Returns {"effects": a row {effect, listed, work, bytes} for each, "never_called": equations
+    that no effect of the list needs}. An effect that is not listed has the fields if_work and
+    if_bytes: what it would cost.
     """
-    builds = {None: scene}
+    frames = [(view.camera, view.time) for view in scene.test]
+    result = ledger(Trainer(scene, TINY).model(), frames)
+    for row in (row for row in result["effects"] if not row["listed"]):
+        with_it = Trainer(switched(scene, row["effect"]), TINY).model()
+        cost = costs(with_it, frames)[0][row["effect"]]
+        row |= {f"if_{kind}": amount for kind, amount in cost.items()}
+    return result
+
+
+def of_model(model):
+    """The ledger of a model, as a camera at rest sees it in the course of time."""
+    return ledger(model, [(held_camera(model, size=64), t) for t in np.linspace(0, 1, 9)])
+
+
+def ledger(model, frames):
+    """The ledger of a model without what other effects would cost."""
+    found, called = costs(model, frames)
+    return {
+        "effects": [
+            {"effect": effect, "listed": effect in model.design.effects, **found[effect]}
+            for effect in MODEL_EFFECTS
+        ],
+        "never_called": [key for key in CALLED_FOR if key not in called],
+    }
+
+
+# --- what an effect gains -------------------------------------------------------------------------
+def tasks_of(scene, seeds=SEEDS, preset=TINY):
+    """The trainings that tell what effects gain, in the form of `trainings.make`."""
+    builds = {AS_LISTED: scene}
     for effect in MODEL_EFFECTS:
-        name = f"without {effect}" if effect in scene.effects else f"with {effect}"
-        builds[name] = switched(scene, effect)
-    whole = methods.plan({OURS: [changes]}, [OURS], [scene], folder, seeds, study="effects")
+        how = "without" if effect in scene.effects else "with"
+        builds[f"{how} {effect}"] = switched(scene, effect)
     return [
-        task._replace(step=name, scene=build) for task in whole for name, build in builds.items()
+        (label, build, preset, seed) for seed in range(seeds) for label, build in builds.items()
     ]
 
 
-def made(tasks):
-    """The rows of Tasks that are there, with the `costs` of their files."""
-    return [
-        {**row, **costs(task.path.read_bytes(), task.scene.test)}
-        for task in tasks
-        for row in methods.made([task])
-    ]
-
-
-def summaries(rows):
-    """What every effect costs and is worth, one row per effect in the order of the closed list.
-
-    `rows` are those that `made` returns. A row has the fields effect, called_for, bytes_on,
-    bytes_off, work_on and work_off, which are means over seeds, worth_db, and its
-    twice_standard_error, which is None for one seed.
-    """
-    builds = {AS_LISTED: {}}  # {build: {seed: row}}
+def gains(rows):
+    """{effect: {"gain": dB with it minus without, "within": twice its standard error}}."""
+    psnr = {}  # {label: {seed: dB}}
     for row in rows:
-        build = row["label"] if row["label"].startswith("with") else AS_LISTED
-        builds.setdefault(build, {})[row["seed"]] = row
-    found = []
+        psnr.setdefault(row["label"], {})[row["seed"]] = row["psnr_db"]
+    found = {}
     for effect in MODEL_EFFECTS:
-        called_for = f"without {effect}" in builds
-        on, off = (builds[name] for name in build_names(effect, called_for))
-        gains = [one["psnr_db"] - off[seed]["psnr_db"] for seed, one in on.items()]
-        found.append(
-            {
-                "effect": effect,
-                "called_for": called_for,
-                **{
-                    f"{kind}_{name}": float(np.mean([one.get(f"{kind}_{effect}", 0) for one in of]))
-                    for kind in ("bytes", "work")
-                    for name, of in (("on", on.values()), ("off", off.values()))
-                },
-                "worth_db": float(np.mean(gains)),
-                "twice_standard_error": twice_standard_error(gains) if len(gains) > 1 else None,
-            }
-        )
+        on, off = psnr[AS_LISTED], psnr.get(f"without {effect}")
+        if off is None:
+            on, off = psnr[f"with {effect}"], on
+        each = [on[seed] - off[seed] for seed in on]
+        within = float(twice_standard_error(each))
+        found[effect] = {"gain": float(np.mean(each)), "within": within}
     return found
 
 
-def build_names(effect, called_for):
-    """The names of the two builds that differ in an effect: the one with it, then without it."""
-    return (AS_LISTED, f"without {effect}") if called_for else (f"with {effect}", AS_LISTED)
-
-
-def collect(tasks, folder):
-    """Write effects.csv, the rows that are made, and effects.png; returns the ledger.
-
-    These are the `summaries` with ms_on and ms_off, the times of a step of stage 4, when every
-    effect takes part, in the two builds that differ in an effect.
-    """
-    trained = made(tasks)
-    write_csv(folder / "effects.csv", trained)
-    rows = summaries(trained)
-    draw_ledger(folder / "effects.png", rows)
-    builds = {task.step or AS_LISTED: task for task in tasks}
-    steps = {name: step_at(task.scene, methods.preset_of(task), 4) for name, task in builds.items()}
-    with np.errstate(all="ignore"):
-        times = alternate(steps, TURNS)
-    for row in rows:
-        on, off = build_names(row["effect"], row["called_for"])
-        row |= {"ms_on": times[on].median, "ms_off": times[off].median}
-    return rows
+def add_gains(ledger, rows):
+    """Add the `gains` of trainings to the rows of a ledger."""
+    found = gains(rows)
+    for row in ledger["effects"]:
+        row |= found[row["effect"]]
 
 
 def is_none(row):
     """Whether a gain cannot be told from none: it is within twice its standard error."""
-    error = row["twice_standard_error"]
-    return error is not None and abs(row["worth_db"]) <= error
+    return abs(row["gain"]) <= row["within"]
 
 
 def said(row):
     """The gain of a row with twice its standard error, as text."""
-    gain, error = f"{row['worth_db']:+.2f}", row["twice_standard_error"]
-    if error is not None:
-        gain += f" ±{error:.2f}"
+    gain = f"{row['gain']:+.2f} ±{row['within']:.2f}"
     return f"none ({gain})" if is_none(row) else gain
 
 
-def to_text(rows):
-    """The ledger as text, a line per effect."""
+# --- the ledger as text and as a picture ----------------------------------------------------------
+def amount(row, kind):
+    """The work or the bytes of a row, as text."""
+    if_listed = f" ({row[f'if_{kind}']:,} if listed)" if f"if_{kind}" in row else ""
+    return f"{row[kind]:,}{if_listed}"
+
+
+def to_text(result):
+    """The ledger as text, a line per effect, and the equations that were never called."""
+    columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
+    columns |= {"bytes of weights": "{bytes}", "gain (dB, test views)": "{gain}"}
     cells = [
-        {**row, "listed": "yes" if row["called_for"] else "no", "worth": said(row)} for row in rows
+        {
+            "effect": row["effect"],
+            "yes": "yes" if row["listed"] else "no",
+            **{kind: amount(row, kind) for kind in ("work", "bytes")},
+            "gain": said(row) if "gain" in row else "not measured",
+        }
+        for row in result["effects"]
     ]
-    return "\n".join([*text_table(COLUMNS, cells), "", UNITS])
+    never = ", ".join(result["never_called"]) or "none of those that only an effect needs"
+    return "\n".join([*text_table(columns, cells), "", f"equations never called: {never}"])
 
 
 @styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_ledger(path, rows):
-    """Work, bytes and gain of every effect; those that the scene does not list are at zero.
+    """Work, bytes and, where the rows have it, gain of every effect.
 
-    A gain that is smaller than twice its standard error is drawn as none. In brackets is what an
-    effect that is not listed would cost and gain.
+    Those that the scene does not list are at zero; in brackets is what they would cost and gain. A
+    gain that is smaller than twice its standard error is drawn as none.
     """
-    from matplotlib.ticker import EngFormatter
-
-    form = EngFormatter(places=1, sep=" ")
     panels = {
-        "Work: multiplications of a frame": [
-            (row["work_on"], form(row["work_on"])) for row in rows
-        ],
-        "Bytes of its weights (float16)": [
-            (row["bytes_on"], f"{row['bytes_on']:,.0f}") for row in rows
-        ],
-        "Gain: dB with it, minus without": [
-            (0 if is_none(row) else row["worth_db"], said(row)) for row in rows
-        ],
+        "Work: multiplications of a frame": [(row["work"], amount(row, "work")) for row in rows],
+        "Bytes of its weights (float16)": [(row["bytes"], amount(row, "bytes")) for row in rows],
     }
-    figure, axes = subplots(3, figsize=(4.2, 6.6))
+    if "gain" in rows[0]:
+        panels["Gain: dB with it, minus without"] = [
+            (row["gain"], said(row))
+            if row["listed"]
+            else (0, f"0 ({said(row).partition(' (')[0]} if listed)")
+            for row in rows
+        ]
+    figure, axes = subplots(len(panels), figsize=(4.2, 2.2 * len(panels)))
     for ax, (title, bars) in zip(axes, panels.items()):
         for row, (value, text) in zip(rows, bars):
-            if not row["called_for"]:
-                value, text = 0, f"0 (if on: {text.partition(' (')[0]})"
+            value = 0 if text.startswith("none") else value
             ax.barh(row["effect"], value, color=BLUE)
             ax.annotate(
                 text,
@@ -262,7 +244,7 @@ def draw_ledger(path, rows):
                 (3, 0),
                 textcoords="offset points",
                 va="center",
-                color="black" if row["called_for"] else "#606060",
+                color="black" if row["listed"] else "#606060",
             )
         ax.set_title(title, loc="left", fontweight="bold")
         ax.set(xticks=[], xmargin=0.8)

@@ -20,8 +20,7 @@ from ..splatting.camera import Camera
 from ..training.presets import TINY
 from ..training.progress import psnr
 from ..training.trainer import Trainer
-from .accuracy.harness import step_at
-from .clock import alternate
+from .clock import alternate, step_at
 from .processes import in_processes
 
 # The iterations of a training, and the pairs, each of which keeps another part of the views back.
@@ -70,7 +69,7 @@ def steps_of(tasks):
 def seconds_of(scene, jobs=1):
     """About how many seconds `suggest` takes, judging by steps in which things move."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
-    ms = alternate({"step": step}, 5)["step"].median
+    ms = alternate({"step": step}, 5)["step"].ms
     return 1e-3 * ms * steps_of(planned(scene)) / jobs
 
 

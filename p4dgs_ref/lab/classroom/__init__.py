@@ -9,8 +9,8 @@ A teacher's session in Python:
     eq = classroom.load("course/student/offsets.py")  # the equation in a student's file
 """
 
-from .grading import grade, to_text, write
-from .room import ClassroomError, hand_out
+from .grading import grade, rows_of, to_text
+from .room import hand_out
 from .student import load
 
-__all__ = ["ClassroomError", "grade", "hand_out", "load", "to_text", "write"]
+__all__ = ["grade", "hand_out", "load", "rows_of", "to_text"]

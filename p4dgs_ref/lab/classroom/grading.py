@@ -1,183 +1,174 @@
 """Grades a classroom: each equation in a process of its own, with points for every right part.
 
-Points come from held-back inputs. What is said about a wrong answer comes from the published cases,
-in the words of the tutorials' exercises.
+Points come from held-back inputs: the published cases of an equation, changed by a seed. What is
+said about a wrong answer comes from the published cases, in the words of the tutorials' exercises.
 
-The grades of a class have the form of grades.json: a dictionary with the seed, the students, who
-have a row for every equation, which has its parts, and the pairs of students whose files are alike.
+The grades of a class are a dictionary with the seed, the students, who have a row for every
+equation, and the pairs of students whose files are alike.
 """
 
-import json
-import secrets
-from itertools import combinations
-from pathlib import Path
+from functools import cache
 
-from ...lessons import problem, tutorial_of
-from ...oracle import published
-from ...oracle.compare import compare, expected
+import numpy as np
+
+from ...lessons import problem
+from ...oracle import published, tolerance
+from ...oracle.compare import change_floats, compare, expected
 from ...oracle.ports import PortError
-from ...oracle.report import name_of
-from ...output import filled
-from ...report.figures import write_csv
-from ...scenes.fields import printable
 from ...table import EQUATIONS
 from ..writer import text_table
-from .held_back import cases, is_ordinary
-from .room import (
-    ClassroomError,
-    files_of,
-    keys_of,
-    modules_of,
-    parts_of,
-    sources_of,
-    stubs_of,
-    text_of,
-)
-from .student import Student, alike, copies, functions, joined, same_lines, unusual
+from .room import files_of, keys_of, parts_of, stub, text_of
+from .similar import pairs, statements, unusual
+from .student import Student
 
-FORWARD, GRADIENTS, HARD = 3, 3, 4  # points of an equation
-ROLES = {"forward": "out.", "backward": "in_bar.", "follow": "in_bar."}
-# The forwards of these save slopes, from which their backwards follow in a line or two.
-SAVES_SLOPES = {"hash_grid", "step", "likelihood"}
-ALL_LINES = "all lines of the key"  # what was copied, where functions are short
+POINTS = 10  # of an equation, divided among the parts that it has in these shares:
+SHARES = {"forward": 3, "gradients": 3, "hard cases": 4}
+ROLES = {"forward": "out.", "backward": "in_bar."}
+# Cases with these flags or names would lose their point if numbers changed. Their inputs stay, with
+# other cotangents.
+FLAGS_OF_KEPT_INPUTS = {
+    *("kink", "tie", "clamped", "outside", "order", "extreme", "tail", "narrow", "wide"),
+    *("behind", "normalise", "identical", "H-P7.identical"),
+}
 
 
 def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
-    """Grade what students handed in, all by the same inputs, and compare it in pairs.
+    """Grade what students handed in, all by the same inputs, and compare their files.
 
     A folder contains a student's files, or a folder `student` with them, as a classroom does.
     `classroom` is the one whose equations are asked for; the default is the first folder. `seed`
-    determines the inputs; without it one is drawn. Nothing is written. Raises ClassroomError.
+    determines the inputs; without it one is drawn. Nothing is written. Raises StudyError.
     """
     keys = keys_of(folders[0] if classroom is None else classroom)
-    seed = secrets.randbelow(2**32) if seed is None else seed
-    places = [files_of(folder) for folder in folders]
-    names = [printable(folder) for folder in folders]
+    places = {str(folder): files_of(folder) for folder in folders}
+    seed = np.random.SeedSequence().entropy % 2**32 if seed is None else seed
     students, works = [], []
-    for name, files in zip(names, places):
+    for name, files in places.items():
         progress(f"grading {name}")
         read = {key: source_in(files, key) for key in keys}
-        works.append({key: source for key, (source, _) in read.items()})
-        whole = same_lines(works[-1], {key: joined(sources_of(key)) for key in keys})
-        rows = [row_of(key, files, *read[key], key in whole, seed) for key in keys]
+        works.append((name, {key: source for key, (source, _) in read.items()}))
+        rows = [row_of(key, files, *read[key], seed) for key in keys]
+        points = round(sum(row["points"] for row in rows), 4)
         students.append(
-            {
-                "student": name,
-                "points": round(sum(row["points"] for row in rows), 4),
-                "of": sum(row["of"] for row in rows),
-                "equations": rows,
-            }
+            {"student": name, "points": points, "of": POINTS * len(rows), "equations": rows}
         )
-    pairs = [
-        {"students": [one, other], "equations": sorted(alike(a, b) | alike(b, a))}
-        for (one, a), (other, b) in combinations(zip(names, works), 2)
-    ]
-    return {"seed": seed, "students": students, "alike": [p for p in pairs if p["equations"]]}
+    return {"seed": seed, "students": students, "alike": pairs(works)}
 
 
 # --- one equation ---------------------------------------------------------------------------------
 def source_in(folder, key):
     """Return what a student wrote of an equation and "", or "" and why it is not graded."""
-    files = {}
-    for name in modules_of(key):
-        try:
-            files[name] = text_of(folder / f"{name}.py")
-            functions(files[name])
-        except ClassroomError as error:
-            return "", f"{name}.py: {error}"
-        except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
-            return "", f"{name}.py cannot be read: {type(error).__name__}: {error}"
-    return ("", "not begun") if files == stubs_of(key) else (joined(files), "")
+    try:
+        source = text_of(folder / f"{key}.py")
+        statements(source)
+    except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
+        return "", f"{key}.py: {type(error).__name__}: {error}"
+    return ("", "not begun") if source == stub(key) else (source, "")
 
 
-def row_of(key, files, source, says, is_whole, seed):
+def row_of(key, files, source, says, seed):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
 
-    In the row, `says` is the reason why points are missing. `flags` are copies; with any of them
-    there are no points. `unusual` are names that no equation needs; they cost no points.
+    In the row, `says` is the reason why points are missing. `unusual` are names that no equation
+    needs; they cost no points.
     """
-    row = {
+    parts, points = {}, 0.0
+    if not says:
+        with Student(files / f"{key}.py") as student:
+            parts = marks(key, student, cases(key, seed))
+            shares = [right / asked for right, asked in parts.values()]
+            points = POINTS * np.average(shares, weights=[SHARES[part] for part in parts])
+            says = "" if points == POINTS else reason(key, student)
+    return {
         "number": EQUATIONS[key].number,
         "key": key,
-        "tutorial": tutorial_of(key).name,
-        "points": 0.0,
-        "of": FORWARD + GRADIENTS + HARD,
-        "flags": [],
-        "unusual": unusual(source),
-        "parts": [],
+        "points": round(float(points), 4),
+        "parts": {part: f"{right} of {asked}" for part, (right, asked) in parts.items()},
+        "unusual": " ".join(unusual(source)),
         "says": says,
     }
-    if says:
-        return row
-    flags = copies(source, key) or [ALL_LINES] * is_whole
-    with Student(files / f"{key}.py") as student:
-        parts = marks(key, student, cases(key, seed))
-        points = round(sum(part["points"] for part in parts), 4)
-        says = reason(key, student) if points < row["of"] else ""
-    if flags:
-        points, says = 0.0, f"{points:g} points withheld, copied: {', '.join(flags)}\n{says}"
-    return {**row, "points": points, "flags": flags, "parts": parts, "says": says}
 
 
 def marks(key, student, cases):
-    """Return the parts of an equation with their points, by the share of right answers."""
-    wrong = {case.id: wrong_in(case, student, "forward") for case in cases}
+    """Return {part: (right, asked)}: how many outputs and gradients of all cases are right."""
+    right = {part: [] for part in SHARES}
     for case in cases:
-        again = wrong[case.id] and key not in SAVES_SLOPES  # a wrong forward is not punished twice
-        mine = wrong_in(case, student, "follow" if again else "backward")
-        if again and mine:
-            mine &= wrong_in(case, student, "backward")
-        wrong[case.id] |= mine
-    parts = []
-    for name, of, prefix, ordinary in points_of(key):
-        is_wrong = [
-            any(f"{tensor}.".startswith(prefix) for tensor in wrong[case.id])
-            for case in cases
-            if is_ordinary(case) == ordinary
-            if any(f"{tensor}.".startswith(prefix) for tensor in expected(case.tensors))
-        ]
-        right, asked = is_wrong.count(False), len(is_wrong)
-        points = of * right / max(asked, 1)
-        parts.append({"name": name, "points": points, "of": of, "right": right, "asked": asked})
-    return parts
-
-
-def points_of(key):
-    """Return what gives points: name, points, prefix of tensors, whether about ordinary cases."""
-    names = EQUATIONS[key].gradients
-    share = 1 if names else 2  # without gradients, outputs take all points
-    return [
-        ("forward", share * FORWARD, "out.", True),
-        *(
-            (f"gradient of {name}", GRADIENTS / len(names), f"in_bar.{name}.", True)
-            for name in names
-        ),
-        ("hard cases: outputs", share * HARD / 2, "out.", False),
-        *[("hard cases: gradients", HARD / 2, "in_bar.", False)] * bool(names),
-    ]
+        wrong = set().union(*(wrong_in(case, student, part) for part in parts_of(key)))
+        for name in expected(case.tensors):
+            ordinary = "forward" if name.startswith("out.") else "gradients"
+            right[ordinary if is_ordinary(case) else "hard cases"].append(name not in wrong)
+    return {part: (sum(answers), len(answers)) for part, answers in right.items() if answers}
 
 
 def wrong_in(case, student, part):
     """Return the names of the outputs or gradients of a case that are wrong or missing."""
-    role = ROLES[part]
+    asked = {name for name in expected(case.tensors) if name.startswith(ROLES[part])}
     try:
         findings = compare(case.tensors, student.part(part).run(case), case.tolerance("float64"))
-        return {finding.tensor for finding in findings if finding.tensor.startswith(role)}
     except PortError:
-        return {name for name in expected(case.tensors) if name.startswith(role)}
+        return asked
+    return asked & {finding.tensor for finding in findings}
 
 
 def reason(key, student):
     """Return what is wrong with the forward or the backward on the published cases."""
-    problems = (
-        (part, problem(published.cases(key), student.part(part), (ROLES[part],)))
-        for part in parts_of(key)
-    )
-    unseen = "right on the published cases, wrong on inputs that are held back"
-    return next((f"{part}: {message}" for part, message in problems if message), unseen)
+    for part in parts_of(key):
+        if message := problem(published.cases(key), student.part(part), (ROLES[part],)):
+            return f"{part}: {message}"
+    return "right on the published cases, wrong on inputs that are held back"
 
 
-# --- the grades as text, JSON and CSV -----------------------------------------------------------
+# --- inputs that are held back -------------------------------------------------------------------
+def is_ordinary(case):
+    """Whether a case has typical inputs."""
+    return case.record["flags"] == ["ordinary"]
+
+
+@cache
+def cases(key, seed):
+    """Return the held-back cases of an equation: three for every ordinary published case, else one.
+
+    They have the form of published cases, and are drawn once for all students of a seed.
+    """
+    return [
+        drawn(case, f"{case.id}#{i + 1}", seed)
+        for case in published.cases(key)
+        for i in range(3 if is_ordinary(case) else 1)
+    ]
+
+
+def drawn(case, id, seed):
+    """Return a case with changed inputs, new cotangents and the reference's answers to them."""
+    eq, inputs = EQUATIONS[case.equation], case.inputs()
+    rng = np.random.default_rng([seed, *id.encode()])
+    if not FLAGS_OF_KEPT_INPUTS & {case.name, *case.record["flags"]}:
+        inputs = change_floats(inputs, lambda a: scaled(a, rng))
+    cotangents = tolerance.cotangents_of(eq, eq(**inputs), f"{seed}/{id}")
+    answer = tolerance.answer_of(eq)
+    answers = answer(inputs, cotangents)
+    scales = tolerance.scales(answer, inputs, cotangents, answers, id)
+    tensors = {
+        **published.flatten(inputs, "in."),
+        **published.flatten({n.removesuffix("_bar"): a for n, a in cotangents.items()}, "out_bar."),
+        **answers,
+        **published.flatten(scales, "scale."),
+    }
+    return case._replace(id=id, tensors=tensors)
+
+
+def scaled(a, rng):
+    """Return an array whose rows are multiplied by random numbers; unit vectors stay.
+
+    Factors from 0.8 to 1 preserve signs, zeros and upper bounds on magnitudes; one for a whole row
+    leaves covariances symmetric and conics positive definite.
+    """
+    lengths = np.linalg.norm(a, axis=-1) if a.shape[-1:] in ((3,), (4,)) else 0
+    if np.allclose(lengths, 1, rtol=0, atol=1e-9):
+        return a
+    return (a * rng.uniform(0.8, 1, a.shape[:1] + (1,) * (a.ndim - 1))).astype(a.dtype)
+
+
+# --- the grades as rows and as text ---------------------------------------------------------------
 def rows_of(grades):
     """Return the table of a class: a row for each student, with the points of every equation."""
     return [
@@ -186,11 +177,8 @@ def rows_of(grades):
             **{row["key"]: row["points"] for row in student["equations"]},
             "points": student["points"],
             "of": student["of"],
-            "copied": sum(bool(row["flags"]) for row in student["equations"]),
             "alike": sum(student["student"] in pair["students"] for pair in grades["alike"]),
-            "unusual": " ".join(
-                sorted({n for row in student["equations"] for n in row["unusual"]})
-            ),
+            "unusual": " ".join(filter(None, (row["unusual"] for row in student["equations"]))),
             "seed": grades["seed"],
         }
         for student in grades["students"]
@@ -199,13 +187,10 @@ def rows_of(grades):
 
 def to_text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
-    sums = ("student", "points", "of", "copied", "alike", "seed", "unusual")
-    lines = text_table({name: f"{{{name}}}" for name in sums}, rows_of(grades))
-    pairs = [
-        f"    {' and '.join(pair['students'])}: {', '.join(pair['equations'])}"
-        for pair in grades["alike"]
-    ]
-    lines += ["", "alike, which alone does not prove that anybody copied:", *pairs] * bool(pairs)
+    names = ("student", "points", "of", "alike", "seed", "unusual")
+    lines = text_table({name: f"{{{name}}}" for name in names}, rows_of(grades))
+    alike = [f"    {' and '.join(p['students'])}: {', '.join(p['keys'])}" for p in grades["alike"]]
+    lines += ["", "alike, which alone does not prove that anybody copied:", *alike] * bool(alike)
     return "\n\n".join(["\n".join(lines), *map(details, grades["students"])])
 
 
@@ -213,21 +198,7 @@ def details(student):
     """Return the points of a student by equation, with what is wrong."""
     lines = [student["student"]]
     for row in student["equations"]:
-        parts = [
-            f"{part['name']} {part['right']} of {part['asked']}"
-            for part in row["parts"]
-            if part["right"] < part["asked"]
-        ]
-        points = f"{row['points']:5.2f} of {row['of']}"
-        lines.append(f"{name_of(row['key']):<28}  {points}  {', '.join(parts)}".rstrip())
-        lines += [f"    unusual: {' '.join(row['unusual'])}"] * bool(row["unusual"])
+        parts = ", ".join(f"{part} {right}" for part, right in row["parts"].items())
+        lines.append(f"{row['key']:<20}  {row['points']:5.2f} of {POINTS}  {parts}".rstrip())
         lines += [f"    {line}" for line in row["says"].splitlines()]
     return "\n".join(lines)
-
-
-def write(grades, folder):
-    """Write grades.txt, grades.json and grades.csv to a folder. Raises OutputError."""
-    with filled(Path(folder)) as staging:
-        (staging / "grades.txt").write_text(to_text(grades) + "\n", encoding="utf-8")
-        (staging / "grades.json").write_text(json.dumps(grades, indent=1) + "\n", encoding="utf-8")
-        write_csv(staging / "grades.csv", rows_of(grades))

@@ -1,8 +1,8 @@
 """Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
 
 Two things show them. A table has the result of the literal formula, ours, the true value, errors
-and a verdict for each case. The stability map shows the error of three formulas for Eq. (11) over
-distance and bin width.
+and a verdict for each case. The stability map shows the error of four formulas for Eq. (11) over
+the distance, above and below the mean, and the bin width.
 
 Inputs, cotangents and true values are those of the published vectors, where a case has the same id.
 `hard_cases.json` adds one line a case:
@@ -22,14 +22,13 @@ In a checkout, `python -m tests.golden.hard_cases.publish` writes the file.
 
 import json
 from functools import cache
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ...oracle import published
 from ...oracle.compare import cast
-from ...report.figures import save_figure, styled, subplots, write_csv
+from ...report.figures import save_figure, styled, subplots
 from ...table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
@@ -50,8 +49,9 @@ COLUMNS = {
     "verdict": "{verdict}",
 }
 # Of the map:
-FORMULAS = ("literal", "HAC, floor 1e-6", "stable")
+FORMULAS = ("as printed", "HAC's floor", "mirrored", "ours")
 DISTANCES, WIDTHS = (-2, 3), (-12, 6)  # log10 of the limits of |x - mu| / sigma and q / sigma
+TICKS = (-1000, -10, -0.1, 0.1, 10, 1000)  # of the distance
 LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
 
 
@@ -82,7 +82,7 @@ def rows(only=None):
     """Run all cases in both precisions, or only the case or the group of cases `only`.
 
     Return a list of dictionaries for JSON with id, equation, says, dtype and the fields of
-    `judged`. Infinities and NaN are text.
+    `measure`. Infinities and NaN are text.
     """
     cases = hard_cases().values()
     wanted = [case for case in cases if only is None or f"{case['id']}.".startswith(f"{only}.")]
@@ -100,33 +100,21 @@ def rows(only=None):
 
 
 def measure(case, dtype):
-    """Run an equation on a case in one precision, both ways; returns the fields of `judged`."""
-    equation, true = EQUATIONS[case["equation"]], case["true"]
-    outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
-    gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
-    bars = {name + "_bar": a for name, a in gradients.items()}
-    name, index = case["shown"]
-    which = DTYPES.index(dtype)
-    return judged(
-        case["literal"][which],
-        pick({**outputs, **bars}[name], index),
-        pick(true[name], index),
-        worst(outputs, true, case["each"]),
-        worst(bars, true, False),
-        *case["bounds"][which],
-    )
-
-
-def judged(literal, ours, true, error, grad_error, bound, grad_bound):
-    """The fields of a row that are found by running it, with its verdict.
+    """What an equation returns on a case in one precision, with its errors and a verdict.
 
     Errors are relative; one that is NaN fails, and None means that there is no gradient.
     """
+    equation, true, which = EQUATIONS[case["equation"]], case["true"], DTYPES.index(dtype)
+    outputs, pullback = equation.vjp(**cast(case["inputs"], dtype))
+    gradients = pullback(**cast(case["cotangents"], dtype)) if equation.gradients else {}
+    bars = {name + "_bar": a for name, a in gradients.items()}
+    (name, index), (bound, grad_bound) = case["shown"], case["bounds"][which]
+    error, grad_error = worst(outputs, true, case["each"]), worst(bars, true, False)
     good = error <= bound and (grad_error is None or grad_error <= grad_bound)
     return {
-        "literal": literal,
-        "ours": json_number(ours),
-        "true": json_number(true),
+        "literal": case["literal"][which],
+        "ours": json_number(pick({**outputs, **bars}[name], index)),
+        "true": json_number(pick(true[name], index)),
         "error": json_number(error),
         "grad_error": json_number(grad_error),
         "bound": bound,
@@ -189,10 +177,11 @@ def as_text(name, value):
 
 # --- the map --------------------------------------------------------------------------------------
 def plane():
-    """Distances and widths of the plane: two axes of numbers that float32 can hold."""
-    return tuple(
+    """Distances, of both signs, and widths of the plane: two axes of numbers that float32 holds."""
+    above, widths = (
         np.logspace(*limits, 73).astype(np.float32).astype(float) for limits in (DISTANCES, WIDTHS)
     )
+    return np.append(-above[::-1], above), widths
 
 
 def maps():
@@ -210,24 +199,27 @@ def maps():
     return errors
 
 
-def draw_maps(figure, axes, errors, titles, location="right", **text):
-    """Draw `maps` into axes with titles; infinite is red. All share a bar of colours."""
+def draw_maps(figure, axes, errors, location="right", **text):
+    """Draw `maps` into axes; infinite is red. All share a bar of colours."""
     from matplotlib import colormaps
 
     distances, widths = plane()
     colors, (low, high) = colormaps["viridis"].with_extremes(over="red"), LEVELS
-    for ax, log, title in zip(axes.ravel(), errors.values(), titles):
+    for ax, ((name, dtype), log) in zip(axes.ravel(), errors.items()):
         # An infinite error is above the levels, every finite one at or below them.
         shown = np.where(np.isinf(log), high + 1, np.minimum(log, high))
         mesh = ax.pcolormesh(
             widths, distances, shown, cmap=colors, vmin=low, vmax=high, rasterized=True
         )
-        ax.set(xscale="log", yscale="log", xticks=10.0 ** np.arange(-10, 6, 5))
+        ax.set(xscale="log", xticks=10.0 ** np.arange(-10, 6, 5))
+        ax.set_yscale("symlog", linthresh=distances[distances > 0][0], linscale=0.1)
+        ax.set(yticks=TICKS, yticklabels=map("{:g}".format, TICKS))
         ax.set(xlim=widths[[0, -1]], ylim=distances[[0, -1]])
+        ax.minorticks_off()
         ax.grid(False)
-        ax.set_title(title, **text)
+        ax.set_title(f"{name}, {dtype}", **text)
     figure.supxlabel("bin width q/σ")
-    figure.supylabel("distance |x − μ|/σ")
+    figure.supylabel("distance (x − μ)/σ, above and below the mean")
     label = "log10 of the error of the bits"
     figure.colorbar(mesh, ax=axes, location=location, shrink=0.8, extend="both", label=label)
 
@@ -235,30 +227,20 @@ def draw_maps(figure, axes, errors, titles, location="right", **text):
 @styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_front(path):
     """Draw the maps of the printed formula and of ours, for a picture that is shown small."""
-    called = {"literal": "as printed", "stable": "ours"}
-    errors = {key: log for key, log in maps().items() if key[0] in called}
+    errors = {key: log for key, log in maps().items() if key[0] in ("as printed", "ours")}
     figure, axes = subplots(2, 2, figsize=(4.2, 6.6), sharex=True, sharey=True)
-    titles = [f"{called[name]}, {dtype}" for name, dtype in errors]
-    draw_maps(figure, axes, errors, titles, "top")
+    draw_maps(figure, axes, errors, "top")
     figure.suptitle("Bits of Eq. (11): red is infinite or NaN", fontweight="bold", fontsize=10.5)
     save_figure(figure, path)
 
 
 @styled()
 def draw_map(path):
-    """Draw the map to a PNG and write its numbers beside it, with the ending .csv."""
-    errors = maps()
-    figure, axes = subplots(2, 3, figsize=(8, 6.2), sharex=True, sharey=True)
-    draw_maps(figure, axes, errors, map(", ".join, errors), fontsize=11)
+    """Draw the map to a PNG."""
+    figure, axes = subplots(2, len(FORMULAS), figsize=(10, 8), sharex=True, sharey=True)
+    draw_maps(figure, axes, maps(), fontsize=11)
     figure.suptitle(
         "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",
         fontsize=13,
     )
     save_figure(figure, path)
-    rows = [
-        (name, dtype, f"{z:.6g}", f"{w:.6g}", f"{value:.3f}")
-        for (name, dtype), log in errors.items()
-        for (z, w), value in zip(product(*plane()), log.ravel())
-    ]
-    columns = ["formula", "dtype", "distance_over_sigma", "q_over_sigma", "log10_error"]
-    write_csv(path.with_suffix(".csv"), [dict(zip(columns, row)) for row in rows])

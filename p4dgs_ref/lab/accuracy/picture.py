@@ -1,0 +1,94 @@
+"""The picture of accuracy: loss against time, a panel for each question, with its answer above."""
+
+from textwrap import fill
+
+from ...report.figures import BLUE, RED, save_figure, styled, subplots
+from . import QUESTIONS, by_question, compared, disturbed, duration
+
+NOTE = (
+    "Down is more accurate, left is faster. A star is what this project uses; a bar goes from "
+    "quartile to quartile. Where an axis is logarithmic, no error at all is drawn at its foot."
+)
+STYLE = {"font.size": 10, "axes.titlesize": 11, "axes.titleweight": "bold", "figure.dpi": 100}
+FRONT = ("renderer", "Eq. (11)", "noise", "iterations")  # of the small picture
+SMALLEST = 1e-9  # a smaller error is none
+# Where a label may stand beside its point, in points, and which of its sides is towards it.
+PLACES = ((8, 4, "left"), (-8, 4, "right"), (8, -13, "left"), (-8, -13, "right"), (0, 10, "center"))
+
+
+def draw_panel(ax, rows, width):
+    """Draw the points of a question, with its answer in lines of so many letters."""
+    from matplotlib.ticker import NullFormatter
+
+    question, losses = QUESTIONS[rows[0]["question"]], [row["loss"] for row in rows]
+    is_log = question.scale == "log"
+    foot = 0.1 * min(loss for loss in losses if loss > SMALLEST) if is_log else 0
+    ax.set(xscale="log", yscale=question.scale, xlabel="processor time", ylabel=question.axis)
+    # A decade on either side: there is room for labels, and powers of ten are ticks enough.
+    ax.set_xlim(0.1 * min(row["ms"] for row in rows), 10 * max(row["ms"] for row in rows))
+    most = max(losses)
+    ax.set_ylim(*((0.1 * foot, 10 * most) if is_log else (-0.2 * most, 1.4 * most)))
+    for row in rows:
+        is_ours = row["choice"] == question.ours
+        color, y = RED if is_ours else BLUE, max(row["loss"], foot)
+        ax.plot([row["ms_low"], row["ms_high"]], [y, y], color=color)
+        ax.plot(row["ms"], y, "*" if is_ours else "o", color=color, markersize=15 if is_ours else 7)
+        ax.annotate(
+            row["choice"],
+            (row["ms"], y),
+            PLACES[0][:2],
+            textcoords="offset points",
+            color=color,
+            in_layout=False,  # the panels keep their sizes where labels move
+        )
+    words = compared(next(row for row in rows if row["choice"] == question.answer), rows[0])
+    says = "{question}: {choice} is {faster} as {reference}, {lost}".format(**words)
+    ax.set_title(fill(says, width), loc="left")
+    ax.xaxis.set_major_formatter(lambda ms, _: duration(ms))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.grid(True, color="#dddddd")
+    ax.set_axisbelow(True)
+
+
+def place_labels(figure):
+    """Move the labels of points to where they cover neither points nor each other."""
+    from matplotlib.transforms import Bbox
+
+    figure.draw_without_rendering()
+    for ax in (ax for ax in figure.axes if ax.lines):
+        half = 0.05 * figure.dpi
+        points = [ax.transData.transform(text.xy) for text in ax.texts]
+        taken = [Bbox([point - half, point + half]) for point in points]
+        for text in ax.texts:
+            for *text.xyann, side in PLACES:
+                text.set_horizontalalignment(side)
+                box = text.get_window_extent()
+                if ax.bbox.count_contains(box.corners()) == 4 and not box.count_overlaps(taken):
+                    break
+            taken.append(box)
+
+
+@styled(STYLE)
+def draw(path, rows):
+    """Draw the rows of a run, or of a record."""
+    figure, axes = subplots(3, 2, figsize=(9, 9))
+    for ax, group in zip(axes.flat, by_question(rows).values()):
+        draw_panel(ax, group, 46)
+    axes.flat[-1].set_axis_off()
+    axes.flat[-1].text(0, 1, fill(f"{NOTE} {disturbed(rows)}", 52), va="top")
+    place_labels(figure)
+    save_figure(figure, path)
+
+
+@styled({**STYLE, "font.size": 10.5, "figure.dpi": 200})
+def draw_front(path, rows):
+    """Draw four panels below each other, for a picture that is shown small."""
+    figure, axes = subplots(4, figsize=(4.2, 6.6))
+    for ax, name in zip(axes, FRONT):
+        draw_panel(ax, by_question(rows)[name], 40)
+        ax.set_xlabel("")
+        ax.set_ylabel(QUESTIONS[name].unit)
+    place_labels(figure)
+    save_figure(figure, path)
