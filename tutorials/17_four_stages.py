@@ -89,9 +89,9 @@ assert np.isclose(slope, 2 * (f - 1))
 # bouncing balls, and record after each stage which arrays have moved.
 
 # %%
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 
 scene = load_scene("bouncing")

@@ -157,8 +157,9 @@ lessons.show(figure, "23_accuracy_versus_time_order")
 # deviations, and no opacity below $1/255$ at any pixel.
 
 # %%
-from p4dgs_ref.lab.accuracy import diagram, forms, formulas
 from p4dgs_ref.lab.accuracy.harness import measure_forms
+
+from p4dgs_ref.lab.accuracy import diagram, forms, formulas
 from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
 
 choices = {}

@@ -267,8 +267,9 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 import tempfile
 from pathlib import Path
 
-from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.tables.methods import make_missing
+
+from p4dgs_ref.lab import effect_ledger
 
 short = {"preset": "smoke", "stage_ends": (15, 25, 100, 150)}
 with tempfile.TemporaryDirectory() as folder:

@@ -122,7 +122,7 @@ def scene_of(moments, moves):
 # decoded from its file before it is evaluated.
 
 # %%
-from p4dgs_ref.lab.accuracy.harness import reduced
+from p4dgs_ref.lab.accuracy.trainings import reduced
 from p4dgs_ref.report.evaluate import evaluate, psnr
 from p4dgs_ref.training.trainer import Trainer
 
@@ -321,8 +321,8 @@ lessons.show(
 # summed loss.
 
 # %%
-from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.model import predict
+from p4dgs_ref.oracle.streams import STREAMS
 
 rng = np.random.default_rng(26)
 small = p4.decode((STREAMS / "full.p4dgs").read_bytes())

@@ -7,6 +7,9 @@ import imageio.v3 as iio
 
 from p4dgs_ref import output
 from p4dgs_ref.codec.file import decode
+from p4dgs_ref.lab import accuracy, effect_ledger, stability
+from p4dgs_ref.lab.accuracy import picture
+from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.report import figures
 from p4dgs_ref.report.evaluate import compression, evaluate
 from p4dgs_ref.scenes import load_scene
@@ -14,7 +17,7 @@ from p4dgs_ref.scenes.files import image_bytes
 from tutorials.tools import animation, architecture
 from tutorials.tools.shared import FOLDER, in_few_colors
 
-RECORDS = FOLDER / "records"
+RECORDS = FOLDER / "experiments" / "records"
 
 PICTURES = {  # {picture: the file that a tutorial or a function below writes into a folder}
     "whole_paper.png": "out/00_whole_paper.png",
@@ -71,14 +74,11 @@ def draw_architecture(out):
 
 def draw_records(out):
     """Draw the records of accuracy and of effects and the stability maps into the folder `out`."""
-    from p4dgs_ref.lab import effect_ledger, stability
-    from p4dgs_ref.lab.accuracy import answers, verdicts
-    from p4dgs_ref.lab.writer import read_csv
-
-    rows = verdicts.read(RECORDS / "accuracy.csv")
-    answers.draw_answers(out / "accuracy.png", rows)
-    answers.draw_front(out / "front_accuracy.png", rows)
+    rows = accuracy.read(RECORDS / "accuracy.csv")
+    picture.draw(out / "accuracy.png", rows)
+    picture.draw_front(out / "front_accuracy.png", rows)
     stability.draw_map(out / "stability.png")
     stability.draw_front(out / "front_stability.png")
-    effects = effect_ledger.summaries(read_csv(RECORDS / "effects.csv"))
-    effect_ledger.draw_ledger(out / "effects.png", effects)
+    ledger = effect_ledger.of_scene(load_scene("bouncing"))
+    effect_ledger.add_gains(ledger, read_csv(RECORDS / "effects.csv"))
+    effect_ledger.draw_ledger(out / "effects.png", ledger["effects"])

@@ -221,8 +221,7 @@ def main(names, folder=FOLDER):
         if name not in known:
             sys.exit(f"{name}: expected the name or the number of a tutorial")
     for source in dict.fromkeys(known[name] for name in names or known):
-        target = make(source)
-        print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
+        print(make(source).name, flush=True)
 
 
 if __name__ == "__main__":
