@@ -440,10 +440,10 @@ lessons.check_number("19.3", answer_3, [23, 14])
 # anchors. Of these, 24 are the box and 1,194 the coordinates.
 #
 # Write an encoder and a decoder, and count all bytes, those of tables too. The decoder must return
-# exactly the same points; their order is free, because the other sections can follow it. That alone
-# is worth $\log_2 199! = 1238$ bits: sort the points along a curve and code only the gaps. Fewer
-# than 1,039 bytes are therefore a success. Then measure the file of another scene, for example that of
-# `p4dgs-ref demo figure -o figure`, because a coder may be tuned to a single file.
+# exactly the same points; their order is free, because the other sections can follow it. That
+# alone is worth $\log_2 199! = 1238$ bits: sort the points along a curve and code only the gaps.
+# Fewer than 1,039 bytes are therefore a success. Then measure the file of another scene, for
+# example that of `p4dgs-ref demo figure -o figure`: a coder may be tuned to a single file.
 #
 # Sorting alone gives nothing more, if every place is equally likely. But anchors stand in groups
 # and on surfaces. You could halve the box along each axis, again and again, code which of the eight

@@ -304,7 +304,7 @@ def knowledge(figure, file, level, side=160):
 
 def bits(figure, data, camera, t, view):
     """Every anchor of a file in the colour of its bits, and what the bits are spent on."""
-    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
     model, whole = anchor_bits(data)
     scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
