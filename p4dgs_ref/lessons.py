@@ -51,7 +51,7 @@ TUTORIALS = (
     Tutorial("25_effects"),
     Tutorial("26_video_codec_analogy"),
     Tutorial("27_rate_distortion"),
-    Tutorial("29_porting_in_an_afternoon"),
+    Tutorial("28_porting_in_an_afternoon"),
 )
 STYLE = {
     "figure.figsize": (8, 4.5),
@@ -92,7 +92,7 @@ TYPICAL_MISTAKES = {
     "19.1": ((2400, "the box is missing"),),
     "21.1": (([567, 629], "slot 9 is read as A's where A has only slots 0 to 8"),),
     "25.1": ((768, "the biases are missing"),),
-    "29.2": ((3393264, "3393264 times the prime is beyond 2^53, but even, so a double holds it"),),
+    "28.2": ((3393264, "3393264 times the prime is beyond 2^53, but even, so a double holds it"),),
 }
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 HINTS_GIVEN = {}  # exercise -> how many hints were asked for

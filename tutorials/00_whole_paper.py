@@ -725,9 +725,7 @@ def loss(p, shot, u, stage, weights=None, sign=signs, centers=None):
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Not counted: the positions, whose bits are fixed, and the networks. To count these, too
-        # (ours: beyond_networks.py), give every array of WEIGHTS a learned step, add noise of this
-        # step before `network` reads it, round it at the end, and add its bits to `bits`.
+        # Not counted: the positions, whose bits are fixed, and the networks, stored in float16.
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():

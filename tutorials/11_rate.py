@@ -271,9 +271,8 @@ with np.errstate(invalid="ignore"):
 # ## What a codec does with it
 # The rate is an estimate; what counts is the file. Here, each section is 5 to 10 bytes longer than
 # the equations say, because of the last state of the coder, a short header and the rounding to
-# whole bytes. Positions, masks and networks are in no equation. What each anchor of a file costs is
-# drawn by `p4dgs-ref inspect FILE -o DIR --heat`. [See it move](viewer/demo.html#step=7): the bits
-# of each anchor in colour, and what fewer would cost.
+# whole bytes. Positions, masks and networks are in no equation. [See it
+# move](viewer/demo.html#step=7): the bits of each anchor in colour, and what fewer would cost.
 
 # %%
 coded = [section for section in sections if section["name"] in IN_13 + IN_14]

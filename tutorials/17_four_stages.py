@@ -19,7 +19,18 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("17_four_stages")
+architecture.show(
+    "17_four_stages",
+    "deformation",
+    "deformed",
+    "noise",
+    "step",
+    "hash_grid",
+    "prior",
+    "likelihood",
+    "rate_loss",
+    "total_loss",
+)
 
 # %% [markdown]
 # ## Claim

@@ -17,7 +17,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("18_one_training_step")
+architecture.show("18_one_training_step", "noise", "render_loss", "rate_loss", "total_loss")
 
 # %% [markdown]
 # ## Claim

@@ -23,7 +23,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("19_file_byte_by_byte")
+architecture.show("19_file_byte_by_byte", "rounding", "entropy_coder", "file")
 
 # %% [markdown]
 # ## Claim
@@ -377,7 +377,7 @@ for row in inspect.ledger(golden):
 # **19.2** ●● Where is anchor $17$ of `golden`? Use `struct`.
 #
 # **19.3** ●●● Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It
-# is tried on all published streams of version 1, both valid and damaged: 24 must be read, and among
+# is tried on all published streams, both valid and damaged: 23 must be read, and among
 # the damaged ones 14 have a bad frame and must be refused.
 #
 # **Predict, then run.** One bit of a file flips on the disk. Can a flipped bit stay unnoticed by
@@ -398,19 +398,17 @@ def my_container(data):
     raise NotImplementedError
 
 
-def published_of_version_1(kind):
-    """The published streams of a kind; those of version 2 are called coded_."""
-    rows = streams.read_rows()[kind]
-    files = [row["file"] for row in rows if not row["file"].startswith("coded_")]
-    return [(STREAMS / file).read_bytes() for file in files]
+def published(kind):
+    """The published streams of a kind, good or bad."""
+    return [(streams.STREAMS / row["file"]).read_bytes() for row in streams.read_rows()[kind]]
 
 
 def grade_container(mine):
     """Count the valid streams that are read correctly and the bad frames that are refused."""
-    good = published_of_version_1("good")
+    good = published("good")
     read = sum(mine(whole) == container.read_container(whole) for whole in good)
     refusals = 0
-    for bad in published_of_version_1("bad"):
+    for bad in published("bad"):
         if refused(container.read_container, bad):
             try:
                 mine(bad)
@@ -437,19 +435,17 @@ lessons.check_number("19.3", answer_3, [23, 14])
 
 # %% [markdown]
 # ## An open project
-# **Code the positions better.** Version 1 takes 6 bytes for a position. Version 2 rounds
-# coordinates to fewer bits and sorts the anchors along a curve, so that only gaps are coded
-# ([positions.py](../p4dgs_ref/beyond/positions.py)). `p4dgs-ref inspect tutorials/demo.p4dgs`
-# prints the baseline: 615 bytes for 199 anchors with 10 bits a coordinate. Of these, 25 are the box
-# and one parameter, and 590 are the gaps, 23.7 bits for each anchor.
+# **Code the positions better.** A position takes 6 bytes, 16 bits for each coordinate, and nothing
+# predicts it. `p4dgs-ref inspect tutorials/demo.p4dgs` prints the baseline: 1,218 bytes for 199
+# anchors. Of these, 24 are the box and 1,194 the coordinates.
 #
 # Write an encoder and a decoder, and count all bytes, those of tables too. The decoder must return
-# exactly the same points; their order is free, because the other sections can follow it. Fewer than
-# 590 bytes are a success, and 560 a great one. Then measure the file of another scene, for example
-# that of `p4dgs-ref demo figure -o figure`, because a coder may be tuned to a single file.
+# exactly the same points; their order is free, because the other sections can follow it. That
+# alone is worth $\log_2 199! = 1238$ bits: sort the points along a curve and code only the gaps.
+# Fewer than 1,039 bytes are therefore a success. Then measure the file of another scene, for
+# example that of `p4dgs-ref demo figure -o figure`: a coder may be tuned to a single file.
 #
-# Sorting has nothing left to give: to name 199 of $2^{30}$ places takes
-# $\log_2\binom{2^{30}}{199} = 4732$ bits, or 592 bytes, if every choice is equally likely. But
-# anchors stand in groups and on surfaces. You could halve the box along each axis, again and again,
-# code which of the eight parts are empty, and predict this from the parts around them.
-# `p4dgs_ref.designs.quantised_of` returns the points, `beyond.positions.codes_of` their codes.
+# Sorting alone gives nothing more, if every place is equally likely. But anchors stand in groups
+# and on surfaces. You could halve the box along each axis, again and again, code which of the eight
+# parts are empty, and predict this from the parts around them. `quantised.positions` has the
+# integers.

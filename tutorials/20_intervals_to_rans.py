@@ -25,7 +25,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("20_intervals_to_rans")
+architecture.show("20_intervals_to_rans", "likelihood", "entropy_coder", "file")
 
 # %% [markdown]
 # ## Claim

@@ -22,7 +22,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture, shared
 
-architecture.show("21_desync")
+architecture.show("21_desync", "hash_grid", "prior", "entropy_coder")
 plt.rcParams["image.interpolation"] = "nearest"
 data = (shared.FOLDER / "demo.p4dgs").read_bytes()  # a trained model of 199 anchors
 
@@ -57,7 +57,7 @@ assert not wrong % 16 < 10
 # We write a codec as one would write it at first. It computes $\mu$ and $\sigma$ in `float32`. Of
 # the $2^{16}$ counts of a table with $n$ symbols, it distributes $2^{16} - n$ by placing a
 # boundary at $\lfloor(2^{16} - n)\,\Phi\rfloor$, and then gives every symbol one count more. All
-# 6553 attributes of a trained model go into one message, anchor by anchor.
+# 6658 attributes of a trained model go into one message, anchor by anchor.
 
 # %%
 BITS = 16
@@ -107,14 +107,12 @@ def decode(x, stack, tables):
 
 
 # %%
-from p4dgs_ref.designs import quantised_of
-
 from p4dgs_ref.codec import context
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
-from p4dgs_ref.oracle.streams import STREAMS
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS, quantised_of
 from p4dgs_ref.report import evaluate, inspect
 
-quantised = quantised_of(data)
+quantised = quantised_of(read_container(data))
 model = quantised.model
 design = model.design
 
@@ -133,18 +131,18 @@ def build(mu, sigma):
 tables = build(mu, sigma)
 message = encode(sent, tables)
 received, last = decode(*message, tables)
-assert len(sent) == 6553
+assert len(sent) == 6658
 assert np.array_equal(received, sent)
 assert last == 2**31  # the state with which the encoder began
 
 # %% [markdown]
-# **One ulp.** Now one deviation of the decoder, that of symbol 1963, is too large by one unit in
+# **One ulp.** Now one deviation of the decoder, that of symbol 2230, is too large by one unit in
 # the last place. This is less than one part in eight million. Most errors of this size change no
 # count of a table, but this one does. The symbol itself is decoded correctly. The next one is
-# wrong, and so are 4173 of the 4589 symbols that follow.
+# wrong, and so are 3820 of the 4427 symbols that follow.
 
 # %%
-victim = 1963
+victim = 2230
 nudged = sigma.copy()
 nudged[victim] = np.nextafter(nudged[victim], np.float32(np.inf))
 received, last = decode(*message, build(mu, nudged))
@@ -152,7 +150,7 @@ wrong = np.flatnonzero(received != sent)
 following = len(sent) - victim - 1
 assert 0 < nudged[victim] / sigma[victim] - 1 < 1 / 8e6
 assert wrong[0] == victim + 1
-assert (len(wrong), following) == (4173, 4589)
+assert (len(wrong), following) == (3820, 4427)
 assert last != 2**31
 
 # %% [markdown]
@@ -230,9 +228,9 @@ lessons.show(figure, "21_desync")
 
 # %% [markdown]
 # **Such differences occur by themselves.** Take the same `float32` network and add its products
-# from first to last, or from last to first, as another library, GPU or batch size may do. A
-# fifth of the deviations then differ by a few ulps. Symbol 46 is the first one that is decoded
-# wrongly, so decoding fails within the first hundredth of the message.
+# from first to last, or from last to first, as another library, GPU or batch size may do. More than
+# half of the deviations then differ by a few ulps. Symbol 121 is the first one that is decoded
+# wrongly, so decoding fails within the first fiftieth of the message.
 
 
 # %%
@@ -271,8 +269,8 @@ largest = np.abs(forwards[1] / backwards[1] - 1).max()
 received, _ = decode(*encode(sent, build(*forwards)), build(*backwards))
 first_wrong = np.flatnonzero(received != sent)[0]
 print(f"{differ:.0%} of the deviations differ, at most by {largest:.1e} of their value")
-assert 0.15 < differ < 0.25
-assert first_wrong == 46
+assert 0.5 < differ < 0.6
+assert first_wrong == 121
 
 # %% [markdown]
 # ## Backward by hand
@@ -313,10 +311,10 @@ assert abs(changed - expected) < 4 * math.sqrt(expected)
 # %% [markdown]
 # ## Break it
 # A plausible remedy is to round $\log_2\sigma$ to multiples of $\frac1{16}$ before the table is
-# made, so that ulps disappear. Indeed the two orders above now agree in all 6553 deviations. But
+# made, so that ulps disappear. Indeed the two orders above now agree in all 6658 deviations. But
 # the problem has only moved to the boundaries between the multiples. A value next to such a
 # boundary is rounded up by one machine and down by another, and the deviations then differ by
-# four percent instead of one ulp. In a file of two million symbols, about one such case is to be
+# four percent instead of one ulp. In a file of two million symbols, about four such cases are to be
 # expected.
 
 
@@ -338,7 +336,7 @@ ratio = forwards[1].astype(float) / backwards[1]
 distance = 16 * np.abs(np.log2(ratio))
 crossings = 2e6 * distance.mean()
 print(f"{crossings:.2f} cases in two million symbols")
-assert 0.8 < crossings < 1.3
+assert 3.5 < crossings < 4.5
 
 # %% [markdown]
 # ## What a codec does with it
@@ -407,8 +405,8 @@ def my_sigma_units(raw, log2_D, p):
 
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
 stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
-stream = (STREAMS / "full.p4dgs").read_bytes()
-full = quantised_of(stream).model
+stream = (streams.STREAMS / "full.p4dgs").read_bytes()
+full = quantised_of(read_container(stream)).model
 widths = full.design.widths
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)

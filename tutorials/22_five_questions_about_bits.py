@@ -22,7 +22,15 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("22_five_questions_about_bits")
+architecture.show(
+    "22_five_questions_about_bits",
+    "noise",
+    "rounding",
+    "step",
+    "likelihood",
+    "anchor_rate",
+    "hash_rate",
+)
 rng = np.random.default_rng(22)
 
 

@@ -21,7 +21,9 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("24_hard_cases")
+architecture.show(
+    "24_hard_cases", "step", "likelihood", "hash_rate", "ssim", "projection", "compositing"
+)
 EPS_32 = float(np.finfo(np.float32).eps)
 EPS_64 = float(np.finfo(np.float64).eps)
 

@@ -179,8 +179,8 @@ function look(panels) {
 async function links(browser) {
   const { evaluate } = browser;
   await window(browser, SIZES[0]);
-  const seen = async (hash, page = "demo.html") => {
-    await show(browser, `${ours(page)}${hash}`);
+  const seen = async (hash, page = ours("demo.html")) => {
+    await show(browser, `${page}${hash}`);
     return evaluate(`(({ azimuth, name, playing, shift, model }) => ({
       step: document.body.dataset.step, t: $("time").value, azimuth, name, playing,
       shift: shift[2] / page.homeDistance(model) }))(page.state)`);
@@ -198,14 +198,18 @@ async function links(browser) {
     const said = `${bad} does not lead to step 1`;
     await until(browser, "document.body.dataset.step === '1' && page.state.playing", said);
   }
-  const other = await seen("#step=2&file=5", "scenes.html");
-  check(`file 5 is ${other.name}`, other.name === "orbit.p4dgs" && other.step === "2");
+  const coarse = readFileSync(join(ROOT, "tutorials", "tour", "rate_times_100.p4dgs"));
+  const first = JSON.stringify({ name: "coarse.p4dgs", base64: base64(coarse) });
+  const page = readFileSync(join(ROOT, "tutorials", "viewer", "demo.html"), "utf8");
+  writeFileSync(at("two.html"), page.replace('id="files">[', `id="files">[${first}, `));
+  const other = await seen("#step=2&file=2", String(pathToFileURL(at("two.html"))));
+  check(`file 2 is ${other.name}`, other.name === "demo.p4dgs" && other.step === "2");
   await evaluate("location.hash = 'step=6'");
   await until(browser, "document.body.dataset.step === '6'", "the address is not followed");
-  check("another file", (await evaluate("page.state.name")) === "orbit.p4dgs");
+  check("another file", (await evaluate("page.state.name")) === "demo.p4dgs");
   await evaluate("page.aim({ azimuth: 77 })");
   const length = await evaluate("history.length");
-  await until(browser, "/step=6&file=5&camera=77,.*&t=/.test(location.hash)", "no address");
+  await until(browser, "/step=6&file=2&camera=77,.*&t=/.test(location.hash)", "no address");
   check("the history grows", (await evaluate("history.length")) === length);
   const granted = { permissions: ["clipboardReadWrite", "clipboardSanitizedWrite"] };
   await browser.send("Browser.grantPermissions", granted);
@@ -213,6 +217,7 @@ async function links(browser) {
   await until(browser, "$('copy').textContent === 'Copied'", "no link is copied");
   const copied = await evaluate("navigator.clipboard.readText()");
   check(`copied: ${copied}`, copied === (await evaluate("location.href")));
+  await show(browser, ours("demo.html")); // in its folder, from which the links lead on
   const hrefs = await evaluate("[...document.querySelectorAll('[data-link]')].map((a) => a.href)");
   check(`links ${hrefs}`, hrefs.length === 3 && hrefs.every((href) => href.startsWith("file:")));
 }

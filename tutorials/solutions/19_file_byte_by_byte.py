@@ -10,7 +10,6 @@ import numpy as np
 from p4dgs_ref import lessons, oracle
 from p4dgs_ref.codec import container
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.oracle.streams import STREAMS
 
 # %% [markdown]
 # **19.1** The section holds a box of six `float32`, then three `uint16` for each anchor.
@@ -62,9 +61,7 @@ def refuses(read, data):
 
 
 def stored(kind):
-    rows = streams.read_rows()[kind]
-    files = [row["file"] for row in rows if not row["file"].startswith("coded_")]
-    return [(STREAMS / file).read_bytes() for file in files]
+    return [(streams.STREAMS / row["file"]).read_bytes() for row in streams.read_rows()[kind]]
 
 
 good = stored("good")

@@ -3,13 +3,13 @@
 
 # %%
 import numpy as np
-from p4dgs_ref.designs import quantised_of
 
 from p4dgs_ref import lessons
 from p4dgs_ref.codec import context
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.equations import prior
 from p4dgs_ref.oracle import streams
-from p4dgs_ref.oracle.streams import STREAMS
 
 # %% [markdown]
 # **21.1** We have $1001 = 62\cdot 16 + 9$. With nine slots for $A$, slot $9$ is the first one of
@@ -43,8 +43,8 @@ full_row = rows["full"]
 stored = {}
 for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
-stream = (STREAMS / "full.p4dgs").read_bytes()
-full = quantised_of(stream).model
+stream = (streams.STREAMS / "full.p4dgs").read_bytes()
+full = quantised_of(read_container(stream)).model
 layers = context.whole_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
 y = context.run_network(h, layers)

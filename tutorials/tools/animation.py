@@ -13,7 +13,7 @@ from p4dgs_ref.scenes import load, scene, simulator
 from p4dgs_ref.scenes.files import write_image
 from p4dgs_ref.scenes.simulator.trace import trace
 from tutorials.tools import show
-from tutorials.tools.shared import in_colors, palette
+from tutorials.tools.shared import in_few_colors
 
 FRAMES = 22
 MILLISECONDS = 80  # a frame
@@ -88,5 +88,5 @@ def write_animation(path, model, name="bouncing"):
         for camera, t in views(description)
     ]
     frames = np.array([frame(*one) for one in shown])
-    frames = in_colors(frames, palette(frames.reshape(-1, 3)[::SAMPLED]))
+    frames = in_few_colors(frames, SAMPLED)
     write_image(path, [*frames, *frames[-2:0:-1]], duration=MILLISECONDS, loop=0)

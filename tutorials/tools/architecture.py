@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path
 
-from p4dgs_ref import lessons
+from p4dgs_ref import EQUATIONS, lessons
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.report.figures import styled
 
@@ -26,10 +26,10 @@ GAP, MARGIN = 0.6, 0.7  # between the boxes of a frame, and around them
 CENTRED = {"ha": "center", "va": "center_baseline"}
 
 
-# A part of the method: a title over boxes, one for an equation. A key is that of EQUATIONS,
-# or one of its own where the table has none.
+# A part of the method: a title over boxes, one for an equation. A key is that of the table of
+# equations, which has the number, or one of its own where the table has none.
 Frame = namedtuple("Frame", "title color left top width boxes")
-Box = namedtuple("Box", "key number text")
+Box = namedtuple("Box", "key text")
 # What flows between the frames; x and y are its centre, and its ellipses are (x, y, width, height,
 # angle, colour) about the centre.
 Icon = namedtuple("Icon", "text x y ellipses framed", defaults=(False,))
@@ -44,14 +44,14 @@ FRAMES = (
         54,
         19,
         (
-            Box("offsets", "(1)", r"$x = x_a + O_a \cdot l_a$"),
-            Box("view", "(2)", r"view $\delta_{vc},\ d_{vc}$"),
-            Box("mlp", "", r"networks $\psi(f_a, \delta_{vc}, d_{vc})$"),
-            Box("opacity", "(3)", r"opacity $\alpha$"),
-            Box("color", "(3)", r"colour $c$"),
-            Box("rotation", "(3)", r"rotation $r$"),
-            Box("scale", "(4)", r"scale $s$"),
-            Box("masking", "", r"mask, $\alpha \geq \tau_\alpha$"),
+            Box("offsets", r"$x = x_a + O_a \cdot l_a$"),
+            Box("view", r"view $\delta_{vc},\ d_{vc}$"),
+            Box("mlp", r"networks $\psi(f_a, \delta_{vc}, d_{vc})$"),
+            Box("opacity", r"opacity $\alpha$"),
+            Box("color", r"colour $c$"),
+            Box("rotation", r"rotation $r$"),
+            Box("scale", r"scale $s$"),
+            Box("masking", r"mask, $\alpha \geq \tau_\alpha$"),
         ),
     ),
     Frame(
@@ -61,9 +61,9 @@ FRAMES = (
         45,
         19,
         (
-            Box("positional_encoding", "", r"encoding $E(x),\ E(t)$"),
-            Box("deformation", "(5)", r"$\psi_d$: $\Delta x, \Delta s, \Delta r$"),
-            Box("deformed", "(6)", r"$x + \Delta x$, …"),
+            Box("positional_encoding", r"encoding $E(x),\ E(t)$"),
+            Box("deformation", r"$\psi_d$: $\Delta x, \Delta s, \Delta r$"),
+            Box("deformed", r"$x + \Delta x$, …"),
         ),
     ),
     Frame(
@@ -73,9 +73,9 @@ FRAMES = (
         45,
         12.5,
         (
-            Box("covariance", "", r"covariance $\Sigma$"),
-            Box("projection", "", "projection"),
-            Box("compositing", "", "compositing"),
+            Box("covariance", r"covariance $\Sigma$"),
+            Box("projection", "projection"),
+            Box("compositing", "compositing"),
         ),
     ),
     Frame(
@@ -85,9 +85,9 @@ FRAMES = (
         27.5,
         13,
         (
-            Box("ssim", "", "SSIM"),
-            Box("render_loss", "(16)", r"$L_{render}$"),
-            Box("total_loss", "(15)", r"$L_{total}$"),
+            Box("ssim", "SSIM"),
+            Box("render_loss", r"$L_{render}$"),
+            Box("total_loss", r"$L_{total}$"),
         ),
     ),
     Frame(
@@ -97,9 +97,9 @@ FRAMES = (
         15.2,
         15,
         (
-            Box("hash_grid", "(9)", r"hash grid $h$"),
-            Box("step", "(8)", r"step $q$"),
-            Box("prior", "(12)", r"prior $\mu,\ \sigma$"),
+            Box("hash_grid", r"hash grid $h$"),
+            Box("step", r"step $q$"),
+            Box("prior", r"prior $\mu,\ \sigma$"),
         ),
     ),
     Frame(
@@ -109,8 +109,8 @@ FRAMES = (
         15.2,
         17,
         (
-            Box("noise", "(7)", r"training: noise"),
-            Box("rounding", "(10)", r"file: rounding"),
+            Box("noise", r"training: noise"),
+            Box("rounding", r"file: rounding"),
         ),
     ),
     Frame(
@@ -120,14 +120,14 @@ FRAMES = (
         18.8,
         13,
         (
-            Box("likelihood", "(11)", r"$-\log_2 p$"),
-            Box("anchor_rate", "(13)", r"$R_{anchor}$"),
-            Box("hash_rate", "(14)", r"$R_{hash}$"),
-            Box("rate_loss", "(17)", r"$L_{rate}$"),
+            Box("likelihood", r"$-\log_2 p$"),
+            Box("anchor_rate", r"$R_{anchor}$"),
+            Box("hash_rate", r"$R_{hash}$"),
+            Box("rate_loss", r"$L_{rate}$"),
         ),
     ),
-    Frame("coding", DARK, 75.5, 8.8, 13.5, (Box("entropy_coder", "", "entropy coder"),)),
-    Frame("file", DARK, 92, 8.8, 7.5, (Box("file", "", "10110…"),)),
+    Frame("coding", DARK, 75.5, 8.8, 13.5, (Box("entropy_coder", "entropy coder"),)),
+    Frame("file", DARK, 92, 8.8, 7.5, (Box("file", "10110…"),)),
 )
 GAUSSIANS = (
     (-1.6, 1.2, 3.6, 1.6, 30, BLUE),
@@ -141,19 +141,14 @@ MOVED = (
     (-0.6, -0.8, 4.2, 1.2, 15, GREEN),
     (2.2, -1.8, 1.5, 1.6, 0, ORANGE),
 )
-ANCHORS = (
-    (-2.2, 1.6, 1.1, 1.1, 0, BLACK),
-    (-3.1, 2.3, 0.6, 0.6, 0, BLUE),
-    (-1.1, 2.4, 0.6, 0.6, 0, BLUE),
-    (-2.6, 0.5, 0.6, 0.6, 0, BLUE),
-    (1.6, 0.9, 1.1, 1.1, 0, BLACK),
-    (2.8, 1.4, 0.6, 0.6, 0, BLUE),
-    (1.2, 2.2, 0.6, 0.6, 0, BLUE),
-    (2.1, -0.2, 0.6, 0.6, 0, BLUE),
-    (-0.4, -1.8, 1.1, 1.1, 0, BLACK),
-    (-1.7, -1.7, 0.6, 0.6, 0, BLUE),
-    (0.3, -2.9, 0.6, 0.6, 0, BLUE),
-    (0.8, -1.4, 0.6, 0.6, 0, BLUE),
+CHILDREN = ((-0.9, 0.7), (1.1, 0.8), (-0.4, -1.1))  # about each anchor
+ANCHORS = tuple(
+    dot
+    for x, y in ((-2.2, 1.6), (1.6, 0.9), (-0.4, -1.8))
+    for dot in (
+        (x, y, 1.1, 1.1, 0, BLACK),
+        *((x + dx, y + dy, 0.6, 0.6, 0, BLUE) for dx, dy in CHILDREN),
+    )
 )
 ICONS = (
     Icon("anchors", 5, 35.5, ANCHORS),
@@ -183,51 +178,15 @@ ARROWS = (
     Arrow(((71, 4.5), (75.5, 4.5)), "$p$", (73.2, 5.7)),
     Arrow(((89, 4.5), (92, 4.5))),
 )
-# Of the tutorials that explain no equation of their own; all boxes are lit where there are none.
-LIT = {
-    "17_four_stages": (
-        "deformation",
-        "deformed",
-        "noise",
-        "step",
-        "hash_grid",
-        "prior",
-        "likelihood",
-        "rate_loss",
-        "total_loss",
-    ),
-    "18_one_training_step": ("noise", "render_loss", "rate_loss", "total_loss"),
-    "19_file_byte_by_byte": ("rounding", "entropy_coder", "file"),
-    "20_intervals_to_rans": ("likelihood", "entropy_coder", "file"),
-    "21_desync": ("hash_grid", "prior", "entropy_coder"),
-    "22_five_questions_about_bits": (
-        "noise",
-        "rounding",
-        "step",
-        "likelihood",
-        "anchor_rate",
-        "hash_rate",
-    ),
-    "23_accuracy_versus_time": ("compositing", "likelihood"),
-    "24_hard_cases": ("step", "likelihood", "hash_rate", "ssim", "projection", "compositing"),
-    "25_effects": ("view", "color", "deformation", "deformed", "compositing"),
-    "27_rate_distortion": ("total_loss", "rate_loss", "file"),
-    "28_four_ways_to_move": ("offsets", "deformation", "deformed", "file"),
-    "29_porting_in_an_afternoon": (
-        "rounding",
-        "hash_grid",
-        "projection",
-        "compositing",
-        "entropy_coder",
-        "file",
-    ),
-}
 
 
-def show(name):
-    """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png."""
-    keys = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
-    lessons.show(draw_method(keys or LIT.get(name, ())), f"{name[:2]}_map")
+def show(name, *keys):
+    """Show the drawing with what a tutorial explains lit, and save it as out/NUMBER_map.png.
+
+    These are the boxes of its equations, or of `keys` where it explains none; without any, all.
+    """
+    own = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
+    lessons.show(draw_method(own or keys), f"{name[:2]}_map")
 
 
 @styled(lessons.STYLE)
@@ -282,9 +241,15 @@ def paint_frame(axes, frame, lit):
         edge = 1.8 if lit and on else 0.8
         inner = frame.left + MARGIN, y, frame.width - 2 * MARGIN, ROW - GAP
         rounded(axes, *inner, pale(color, 0.3) if on else WHITE, color, edge)
-        y += (ROW - GAP) / 2
-        write(axes, frame.left + 2 * MARGIN, y, box.number, color=ink, weight="bold", ha="left")
-        write(axes, middle + 1.6 * bool(box.number), y, box.text, color=ink)
+        y, number = y + (ROW - GAP) / 2, number_of(box.key)
+        write(axes, frame.left + 2 * MARGIN, y, number, color=ink, weight="bold", ha="left")
+        write(axes, middle + 1.6 * bool(number), y, box.text, color=ink)
+
+
+def number_of(key):
+    """The number of an equation as the paper prints it, "(3)"; "" where it prints none."""
+    number = EQUATIONS[key].number.rstrip("'") if key in EQUATIONS else ""
+    return f"({number})" if number else ""
 
 
 def write(axes, x, y, text, size=8.5, color=INK, **style):

@@ -19,63 +19,54 @@ SMALLEST = 7.0  # points
 
 
 # One equation: its formula and the gradients of its inputs, in mathtext.
-Row = namedtuple("Row", "key number formula gradients")
+Row = namedtuple("Row", "key formula gradients")
 
 ROWS = (
     Row(
         "offsets",
-        "(1)",
         r"$x_i = x_a + O_i\, l_a$",
         r"$\bar x_a = \sum_i \bar x_i \qquad \bar O_i = \bar x_i\, l_a \qquad "
         r"\bar l_a = \sum_i \bar x_i\, O_i$",
     ),
     Row(
         "view",
-        "(2)",
         r"$\delta = |x_a - x_c|, \quad d = (x_a - x_c)\,/\,\delta$",
         r"$\bar x_a = d\,\bar\delta + (\bar d - d\,(d \cdot \bar d))\,/\,\delta$",
     ),
     Row(
         "opacity",
-        "(3)",
         r"$\alpha = \tanh \psi_\alpha(f_a, \delta, d)$",
         r"$\bar\psi_\alpha = \bar\alpha\,(1 - \alpha^2)$",
     ),
     Row(
         "color",
-        "(3)",
         r"$c = \mathrm{sigmoid}\,\psi_c(f_a, \delta, d)$",
         r"$\bar\psi_c = \bar c\;c\,(1 - c)$",
     ),
     Row(
         "rotation",
-        "(3)",
         r"$r = \psi_r\,/\,|\psi_r|$",
         r"$\bar\psi_r = (\bar r - r\,(r \cdot \bar r))\,/\,|\psi_r|$",
     ),
     Row(
         "scale",
-        "(4)",
         r"$s_i = s_a\,g_i, \quad g = \mathrm{sigmoid}\,\psi_s(f_a, \delta, d)$",
         r"$\bar s_a = \sum_i \bar s_i\,g_i \qquad \bar\psi_{s,i} = \bar s_i\,s_a\,g_i\,(1 - g_i)$",
     ),
     Row(
         "mlp",
-        "",
         r"networks: $y = h\,W + b, \quad h = \max(0, z)$",
         r"$\bar W = h^T \bar y \qquad \bar b = \sum_{rows} \bar y \qquad "
         r"\bar z = (\bar y\,W^T)\,[z > 0]$",
     ),
     Row(
         "deformation",
-        "(5)",
         r"$(\Delta x, \Delta s, \Delta r) = \psi_d(E(x), E(t))$",
         r"$\bar\psi_d = (\overline{\Delta x}, \overline{\Delta s}, \overline{\Delta r})$;"
         r" the pipeline sends nothing through $E(x)$ to $x$",
     ),
     Row(
         "deformed",
-        "(6)",
         r"$x' = x + \Delta x, \; s' = s + \Delta s, \; r' = (r + \Delta r)\,/\,|r + \Delta r|$",
         r"$\bar x = \overline{\Delta x} = \bar x' \quad \bar s = \overline{\Delta s} = \bar s' "
         r"\quad \bar r = \overline{\Delta r} = "
@@ -83,95 +74,80 @@ ROWS = (
     ),
     Row(
         "noise",
-        "(7)",
         r"$\tilde f = f + u\,q$",
         r"$\bar f = \overline{\tilde f} \qquad \bar q = \sum_n u_n\,\overline{\tilde f}_n$",
     ),
     Row(
         "step",
-        "(8)",
         r"$q = Q_0\,(1 + \tanh \psi_q(h)) \geq 2^{-10} Q_0$",
         r"$\bar\psi_q = \bar q\,Q_0\,(1 - \tanh^2 \psi_q)$, and 0 on the floor",
     ),
     Row(
         "hash_grid",
-        "(9)",
         r"$h_l = \sum_c w_c\,\mathrm{sign}\,\theta^l_{i(c)}$",
         r"$\bar\theta^l_j = [\,|\theta^l_j| \leq 1\,]\,\sum_{a,\,c:\;i(c) = j} w_c\,\bar h_l$",
     ),
     Row(
         "rounding",
-        "(10)",
         r"$\hat f = \mathrm{round}(f / q)\,q$",
         r"none: rounding is flat, and training uses Eq. (7)",
     ),
     Row(
         "likelihood",
-        "(11)",
         r"$b = -\log_2 p, \quad p = \Phi(z_+) - \Phi(z_-)$",
         r"$\overline{\tilde f} = \kappa\,(\varphi(z_+) - \varphi(z_-)) = -\bar\mu \qquad "
         r"\bar q = \kappa\,(\varphi(z_+) + \varphi(z_-))\,/\,2$",
     ),
     Row(
         "likelihood",
-        "",
         r"$z_\pm = (\tilde f \pm q/2 - \mu)\,/\,\sigma$",
         r"$\bar\sigma = -\kappa\,(z_+ \varphi(z_+) - z_- \varphi(z_-)) \qquad "
         r"\kappa = -\bar b\,/\,(\sigma\,p \ln 2)$",
     ),
     Row(
         "prior",
-        "(12)",
         r"$(\mu, \log \sigma) = \psi_p(h), \quad -14 \leq \log \sigma \leq 6$",
         r"$\bar\psi_p = (\bar\mu,\; \sigma\,\bar\sigma)$, and 0 outside the limits",
     ),
     Row(
         "anchor_rate",
-        "(13)",
         r"$R_{anchor} = \sum_a\,(b_f + b_s + b_l + b_O)$",
         r"$\bar b_f = \bar b_s = \bar b_l = \bar b_O = \bar R_{anchor}$, and 0 for masked offsets",
     ),
     Row(
         "hash_rate",
-        "(14)",
         r"$R_{hash} = -N_+ \log_2 p_+ - N_- \log_2 p_-, \quad p_\pm = N_\pm\,/\,N$",
         r"$\bar\theta_j = [\,|\theta_j| \leq 1\,]\;\frac{1}{2} \log_2(N_- / N_+)\,\bar R_{hash}$",
     ),
     Row(
         "total_loss",
-        "(15)",
         r"$L_{total} = \lambda_{rate}\,L_{rate} + L_{render}$",
         r"$\bar L_{rate} = \lambda_{rate}\,\bar L_{total} \qquad \bar L_{render} = \bar L_{total}$",
     ),
     Row(
         "render_loss",
-        "(16)",
         r"$L_{render} = (1 - \lambda)\,\mathrm{mean}\,|I - I^*| + \lambda\,(1 - SSIM)$",
         r"$\bar I = \bar L_{render}\,(\,(1 - \lambda)\,\mathrm{sign}(I - I^*)\,/\,n "
         r"- \lambda\,\partial SSIM / \partial I\,)$",
     ),
     Row(
         "rate_loss",
-        "(17)",
         r"$L_{rate} = (R_{anchor} + R_{hash})\,/\,n$",
         r"$\bar R_{anchor} = \bar R_{hash} = \bar L_{rate}\,/\,n$",
     ),
     Row(
         "covariance",
-        "",
         r"$\Sigma = M M^T, \quad M = R(r)\,\mathrm{diag}(s)$",
         r"$\bar M = (\bar\Sigma + \bar\Sigma^T)\,M \qquad "
         r"\bar s_j = \sum_i \bar M_{ij} R_{ij} \qquad \bar R_{ij} = \bar M_{ij}\,s_j$",
     ),
     Row(
         "projection",
-        "",
         r"$\Sigma' = V \Sigma V^T + 0.3\,I, \quad V = J W$",
         r"$\bar\Sigma = V^T \bar\Sigma' V \qquad \bar V = (\bar\Sigma' + \bar\Sigma'^T)\,V \Sigma$",
     ),
     Row(
         "compositing",
-        "",
         r"$C = \sum_i c_i\,\alpha_i\,T_i + T_N\,c_{bg}, \quad T_i = \prod_{j<i} (1 - \alpha_j)$",
         r"$\bar c_i = \alpha_i T_i\,\bar C \qquad "
         r"\bar\alpha_i = T_i\,(c_i - C_{>i}) \cdot \bar C$, $C_{>i}$ is the colour behind $i$",
@@ -207,11 +183,13 @@ def draw_page():
     write(figure, MARGIN, y, LEGEND, size=8, linespacing=1.4)
     step = (y - 0.48) / len(ROWS)
     colors = {box.key: frame.color for frame in architecture.FRAMES for box in frame.boxes}
-    for row in ROWS:
+    for before, row in zip((None, *ROWS), ROWS):
         y -= step
         corner, size = (MARGIN / PAGE[0], (y - 0.09) / PAGE[1]), (0.05 / PAGE[0], step / PAGE[1])
         figure.add_artist(Rectangle(corner, *size, color=colors[row.key], linewidth=0))
-        write(figure, MARGIN + 0.13, y, row.number, weight="bold")
+        if before is None or row.key != before.key:
+            number = architecture.number_of(row.key)
+            write(figure, MARGIN + 0.13, y, number, weight="bold")
         write(figure, MARGIN + 0.5, y, row.formula)
         write(figure, MARGIN + 3.55, y, row.gradients)
     return figure

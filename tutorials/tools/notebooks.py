@@ -36,8 +36,10 @@ ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S) 
 COLLAPSED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like
 START = "import sys; from tutorials.tools.notebooks import record; record(*sys.argv[1:])"
-INSTALL = "To run it, install the package: `pip install .` in the folder above `tutorials/`."
-ALONE = "To run it, you need NumPy, SciPy and matplotlib, but not the package."
+INSTALL = (
+    "To run it, install the package: `pip install .` in the folder above `tutorials/`. "
+    "`00_whole_paper` needs NumPy, SciPy and matplotlib alone."
+)
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {
@@ -126,9 +128,7 @@ def links(source):
         parts.append(f"[solutions](../solutions/{source.name})")
     parts += [f"previous: [{name}]({name}.ipynb)" for name in names[max(i - 1, 0) : i]]
     parts += [f"next: [{name}]({name}.ipynb)" for name in names[i + 1 : i + 2]]
-    imports = "from p4dgs_ref import" in source.read_text(encoding="utf-8")
-    needs = INSTALL if imports else ALONE
-    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{needs}"
+    return " · ".join([*parts, "[all tutorials](../README.md)"]) + f"\n\n{INSTALL}"
 
 
 def moved(link):
@@ -224,8 +224,7 @@ def main(names, folder=FOLDER):
         if name not in known:
             sys.exit(f"{name}: expected the name or the number of a tutorial")
     for source in dict.fromkeys(known[name] for name in names or known):
-        target = make(source)
-        print(f"{source.stem}: {target.stat().st_size:,} bytes", flush=True)
+        print(make(source).name, flush=True)
 
 
 if __name__ == "__main__":

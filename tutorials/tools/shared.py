@@ -42,27 +42,25 @@ def write_text(path, text):
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def palette(pixels):
-    """At most 256 colours [M, 3] that stand for those of pixels [..., 3].
+def in_few_colors(pixels, every=1):
+    """The pixels [..., 3] in 8 bits, in at most 256 colours, chosen by one in `every` pixels.
 
     The two most frequent ones are among them; the others stand for rare colours as well.
     """
-    colors, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
+    flat = pixels.reshape(-1, 3)
+    colors, counts = np.unique(flat[::every], axis=0, return_counts=True)
     frequent = colors[np.argsort(-counts, kind="stable")[:2]]
     others = kmeans2(colors.astype(float), min(254, len(colors)), minit="++", seed=0)[0]
-    return np.concatenate([frequent, np.rint(others)])
-
-
-def in_colors(pixels, colors):
-    """The pixels [..., 3] in 8 bits, each in the nearest of some colours [M, 3]."""
-    return (
-        colors[vq(pixels.reshape(-1, 3).astype(float), colors)[0]]
-        .astype(np.uint8)
-        .reshape(pixels.shape)
-    )
+    chosen = np.concatenate([frequent, np.rint(others)])
+    return chosen[vq(flat.astype(float), chosen)[0]].astype(np.uint8).reshape(pixels.shape)
 
 
 def markdown_table(heads, rows):
     """Return a table as Markdown."""
     lines = [f"| {' | '.join(row)} |" for row in (heads, *rows)]
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
+
+
+def file_of(equation):
+    """The path in the checkout of the file that holds an equation of the table."""
+    return f"{equation.forward.__module__.replace('.', '/')}.py"

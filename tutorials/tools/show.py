@@ -11,15 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
-from p4dgs_ref.designs import encode, quantised_of
 from scipy.special import ndtr
 
 from p4dgs_ref import lessons
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
-from p4dgs_ref.splatting import compositing, render
+from p4dgs_ref.splatting import compositing, covariance, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 from p4dgs_ref.training.progress import psnr
@@ -72,7 +73,8 @@ def splats(g, camera, which=slice(None)):
 
     These are mean2d [N, 2], cov2d and conic [N, 3], depth and visible [N].
     """
-    return [values[which] for values in render.project(g.x, g.s, g.r, camera, EXACT)[0]]
+    (Sigma, R), _ = covariance.axes(g.s, g.r)
+    return [values[which] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
 
 
 def to_pixels(x, camera):
@@ -137,42 +139,14 @@ def families(ax, model, camera, anchor, t=None):
     ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=STEP, lw=3, zorder=6)
 
 
-def paths(ax, model, camera, times):
-    """Draw the paths of all Gaussians in colours for the length of delta_x; return these lines."""
-    x = np.array([model.gaussians(t, camera).x for t in times])
-    length = np.linalg.norm(x - model.gaussians(None, camera).x, axis=2)
-    places = to_pixels(x, camera)
-    pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
-    lines = LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True)
-    lines.set_array((length[:-1] + length[1:]).ravel() / 2)
-    return ax.add_collection(lines)
-
-
-def heights(ax, model, camera, times):
-    """Draw the heights of all Gaussians over time in their own colours; return them [T, N]."""
-    g = [model.gaussians(t, camera) for t in times]
-    z = np.array([now.x[:, 2] for now in g])
-    lines = np.stack(np.broadcast_arrays(times, z.T), axis=2)
-    ax.add_collection(LineCollection(lines, colors=g[0].color, lw=0.8, rasterized=True))
-    ax.autoscale()
-    return z
-
-
-def layers(ax, shares, colors):
-    """Draw the shares of a pixel (in percent) from front to back, and the light left after each."""
-    ax.bar(np.arange(1, len(shares) + 1), shares, 0.8, color=colors, edgecolor=GREY)
-    left, edges = [100, *100 - np.cumsum(shares)], np.arange(len(shares) + 2) + 0.4
-    ax.stairs(left, edges, color=ANCHOR, lw=3, baseline=None)
-
-
-def strip(ax, sizes, y, colors, height=0.7, labels=None):
+def strip(ax, sizes, y, colors, labels=()):
     """Draw {name: size} as one bar from 0 on, in {name: colour}.
 
-    `labels` is {name: (height of the text's upper end, text)}.
+    `labels` is {name: (height of the text's upper end, text)}; a name may be missing.
     """
     for end, (name, size) in zip(np.cumsum([*sizes.values()]), sizes.items()):
-        ax.barh(y, size, height, end - size, color=colors[name], edgecolor="white")
-        if labels:
+        ax.barh(y, size, 0.7, end - size, color=colors[name], edgecolor="white")
+        if name in labels:
             ax.text(end - size / 2, *labels[name], ha="center", va="top", fontsize=14)
 
 
@@ -206,49 +180,47 @@ def anchors(figure, model, camera, anchor, view):
         ellipses(right, *splats(g, camera, which)[:2], fc="none", ec=colors, lw=width)
 
 
-def prediction(figure, file, camera, t, anchor, walk):
-    """The feature of an anchor, its Gaussians, and their colours as the cameras of `walk` see them.
-
-    `file` is a Quantised model. `walk` is {direction in degrees: camera}, in steps of one degree.
-    """
-    feature, family, colors = figure.subplots(1, 3, width_ratios=(1, 1.3, 1.5))
+def prediction(figure, file, camera, t, anchor):
+    """The feature of an anchor of a Quantised model, and its Gaussians."""
+    feature, family = figure.subplots(1, 2, width_ratios=(1, 1.3))
     symbols = file.symbols[anchor, : file.model.design.d]
     feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
-    feature.set(title=f"one feature:\n{len(symbols)} integers", xlabel="integer", yticks=())
+    feature.set(title=f"one feature: {len(symbols)} integers", xlabel="integer", yticks=())
+    feature.locator_params(axis="x", integer=True)
     g = file.model.gaussians(t, camera)
     children = g.index // file.model.design.k == anchor
     mean2d, cov2d, *_ = splats(g, camera, children)
-    x, y = middle = mean2d.mean(axis=0)
+    x, y = mean2d.mean(axis=0)
     image = 0.3 * frame(file.model, camera, t, 20) + 0.7
-    picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 10, y - 10))
+    picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 8, y - 8))
     ellipses(family, mean2d, cov2d, fc=g.color[children], ec=STEP, lw=3)
     family.set_title(f"its {children.sum()} Gaussians")
-    shades = np.array([file.model.gaussians(t, at).color[children] for at in walk.values()])
-    for i, away in enumerate(mean2d - middle, 1):
-        place = middle + away * (1 + 2.6 / np.linalg.norm(away))
-        family.text(*place, i, ha="center", va="center", weight="bold", size=22)
-        extent = (min(walk), max(walk), i + 0.4, i - 0.4)
-        colors.imshow(shades[None, :, i - 1], extent=extent, aspect="auto")
-    colors.set(
-        title="their colours, while\nthe camera walks around",
-        xlabel="direction of the camera (degrees)",
-        ylabel="Gaussian",
-        ylim=(i + 0.5, 0.5),
-        xticks=range(0, 361, 90),
-        yticks=range(1, i + 1),
-    )
 
 
 def time(figure, model, camera, t, view):
-    """Canonical space, the paths of all Gaussians over a second, and their heights."""
+    """Canonical space, the paths of all Gaussians over a second, and their heights.
+
+    The colour of a path is the length of delta_x, that of a height the Gaussian's own.
+    """
     a, c, b = figure.subplot_mosaic("ac;bc", width_ratios=(1, 1.2)).values()
     picture(a, frame(model, camera, None), camera, **view, title="canonical: no time yet")
     image, times = 0.3 * frame(model, camera, t) + 0.7, np.linspace(0, 1, 61)
     picture(b, image, camera, **view, title="the paths of one second")
-    figure.colorbar(paths(b, model, camera, times), ax=b, label="length of Δx", aspect=6)
-    moving = (np.ptp(heights(c, model, camera, times), axis=0) > 0.1).sum()
+    x, color = (
+        np.array([model.gaussians(at, camera).x for at in times]),
+        model.gaussians(t, camera).color,
+    )
+    length = np.linalg.norm(x - model.gaussians(None, camera).x, axis=2)
+    places = to_pixels(x, camera)
+    pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
+    paths = b.add_collection(LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True))
+    paths.set_array((length[:-1] + length[1:]).ravel() / 2)
+    figure.colorbar(paths, ax=b, label="length of Δx\n(scene units)", aspect=6)
+    heights = np.stack(np.broadcast_arrays(times, x[:, :, 2].T), axis=2)
+    c.add_collection(LineCollection(heights, colors=color, lw=0.8, rasterized=True))
+    c.autoscale()
     c.set(
-        title=f"heights: {moving} of {len(model.gaussians(t, camera).x)} Gaussians move",
+        title=f"heights: {(np.ptp(x[:, :, 2], axis=0) > 0.1).sum()} of {len(color)} Gaussians move",
         xlabel="time t",
         ylabel="height (scene units)",
     )
@@ -266,7 +238,10 @@ def pixel(figure, model, camera, t, at):
     ellipses(left, *splats(g, camera, first)[:2], fc="none", ec=0.8 * g.color[first], lw=4)
     left.plot(x, y, "s", ms=24, mfc=mixed, mec=ANCHOR, mew=4)
     left.set_title(f"one pixel sees {len(first)} of {len(g.x)} Gaussians")
-    layers(right, 100 * shares, g.color[first])
+    right.bar(np.arange(1, len(shares) + 1), 100 * shares, color=g.color[first], edgecolor=GREY)
+    left_over = 100 * (1 - np.append(0, np.cumsum(shares)))
+    edges = np.arange(len(left_over) + 1) + 0.4
+    right.stairs(left_over, edges, color=ANCHOR, lw=3, baseline=None)
     right.set(
         title="bars: share of each Gaussian\nline: light that is left",
         xlabel="Gaussians, from front to back",
@@ -280,12 +255,12 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
     Q_0, d = np.array(model.design.Q_0), model.design.d
     for (top, bottom), factor in zip(axes, factors):
         data = encode(replace(model, design=replace(model.design, Q_0=tuple(factor * Q_0))))
-        file = quantised_of(data)
+        file = quantised_of(read_container(data))
         scored_picture(top, file.model, data, camera, t, truth, view, f"steps × {factor}")
         values, counts = np.unique(file.symbols[:, :d], return_counts=True)
         bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
         bottom.set(
-            title=f"{len(values)} values, {(counts < 0.001 * counts.sum()).sum()} below 0.1 %",
+            title=f"{len(values)} values",
             xlabel="feature, in multiples of\nthe left column's step",
             ylabel="% of all",
             xlim=(-25, 25),
@@ -329,13 +304,13 @@ def knowledge(figure, file, level, side=160):
 
 def bits(figure, data, camera, t, view):
     """Every anchor of a file in the colour of its bits, and what the bits are spent on."""
-    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
     model, whole = anchor_bits(data)
     scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
     picture(left, image, camera, **view, title="anchors coloured by their bits")
     figure.colorbar(scale, ax=left, location="bottom", label="bits")
-    coded = symbol_bits(quantised_of(data))
+    coded = symbol_bits(quantised_of(read_container(data)))
     groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
     table = np.column_stack([whole - coded.sum(axis=1), groups])
     rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]

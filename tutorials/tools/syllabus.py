@@ -1,52 +1,42 @@
-"""The index of the tutorials: tutorials/README.md with its tables, its graph and its pictures.
+"""The index of the tutorials: tables, the two paths, the glossary, the handout, the gallery.
 
-python -m tutorials.tools.syllabus               run all tutorials, draw all, write the index
-python -m tutorials.tools.syllabus 00 06 demo    only these tutorials and the pictures of the demo
-python -m tutorials.tools.syllabus accuracy      the pictures of accuracy and the reference's table
-python -m tutorials.tools.syllabus tour          only the ten pictures of the tour
-python -m tutorials.tools.syllabus curve         only the picture of the curve, from its record
-python -m tutorials.tools.syllabus effects       only the picture of effects, from its record
-python -m tutorials.tools.syllabus index         only the index, with the times it already holds
+python -m tutorials.tools.syllabus            draw all pictures and write the index
+python -m tutorials.tools.syllabus 06 demo    only those of these tutorials and of the demo
+python -m tutorials.tools.syllabus tour       only the ten pictures of the tour
+python -m tutorials.tools.syllabus records    only those of the records of accuracy and of effects
+python -m tutorials.tools.syllabus index      only the index
 
-Each of these also draws the architecture anew and writes the glossary and the handout.
+Each of these also draws the architecture and writes the glossary and the handout.
 """
 
 import re
 import sys
 import tempfile
-import time
 from collections import namedtuple
 from functools import cache
 from pathlib import Path
 
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.lessons import TUTORIALS, tutorial_of
-from p4dgs_ref.oracle.published import subjects
-from p4dgs_ref.splatting.table import EQUATIONS
-from tutorials.tools import architecture, gallery, glossary, handout, shared
-from tutorials.tools.notebooks import cells
+from tutorials.tools import gallery, glossary, handout, shared, tour
 from tutorials.tools.shared import FOLDER, write_text
 
-CAPTION = "The architecture of P-4DGS; numbers are those of the paper's equations"
 PATHS = {  # through the ideas of the method, by what a reader knows
     "you know 3DGS": ("01", "02", "03", "05", "07", "08", "09", "10", "11"),
     "you do not": ("01", "02", "03", "05", "07", "08", "10", "13", "14", "15"),
 }
-WORDS, LINES = 120, 12  # of prose and of code that are read in a minute: formulas take time
-EACH = 4  # minutes to think about an exercise or a question
-WRITTEN = 3  # lines of a solution that are written in a minute
 
 
 # --- the facts that a tutorial states about itself ------------------------------------------------
 # What is read from a tutorial's file: its title, the numbers of the tutorials that a reader should
-# know, the minutes for reading and for the exercises, and the exercises with the keys of the
-# equations that they are about, {"01.2": keys}.
+# know, the minutes for reading and for the exercises, and the exercises.
 Facts = namedtuple("Facts", "title after reading doing exercises")
 
 
 @cache
-def facts(tutorial, folder=FOLDER):
+def facts(tutorial):
     """The Facts of a tutorial. Raises ValueError naming the file if its first cell lacks one."""
-    source = (Path(folder) / f"{tutorial.name}.py").read_text(encoding="utf-8")
+    source = (FOLDER / f"{tutorial.name}.py").read_text(encoding="utf-8")
     title = re.match(r"# %% \[markdown\]\n# # (.*)\n", source)
     first_cell = " ".join(
         line.lstrip("# ").strip() for line in source.split("\n# %%", 1)[0].splitlines()[2:]
@@ -62,35 +52,8 @@ def facts(tutorial, folder=FOLDER):
             "**Before it:** ... **Takes** ... on two cores, "
             "... minutes of reading and ... of exercises."
         )
-    asked = exercises(source, tutorial.keys)
-    return Facts(title[1], prerequisites(head[1]), int(head[2]), int(head[3]), asked)
-
-
-def minutes(name, folder=FOLDER):
-    """The minutes that it takes to read a tutorial and to do its exercises, measured in its files.
-
-    Reading ends at the exercises. Both are rounded to five minutes.
-    """
-    text = (Path(folder) / f"{name}.py").read_text(encoding="utf-8")
-    taught, _, asked = text.partition("# ## Exercises")
-    solution = Path(folder) / "solutions" / f"{name}.py"
-    doing = time_to_read(f"# %% [markdown]\n#{asked}")
-    doing += EACH * len(re.findall(r"\*\*(\d\d\.\d|Predict, then run\.)\*\*", asked))
-    if solution.is_file():
-        doing += len(code_lines(solution.read_text(encoding="utf-8"))) / WRITTEN
-    return tuple(5 * max(1, round(time / 5)) for time in (time_to_read(taught), doing))
-
-
-def time_to_read(source):
-    """Minutes to read the prose and the code of some cells."""
-    words = [word for cell in cells(source) if cell.prose for word in cell.text.split()]
-    return len(words) / WORDS + len(code_lines(source)) / LINES
-
-
-def code_lines(source):
-    """The lines of the cells of code, without imports and without blank ones."""
-    lines = [line for cell in cells(source) if not cell.prose for line in cell.lines]
-    return [line for line in lines if line.strip() and not line.startswith(("from ", "import "))]
+    minutes = int(head[2]), int(head[3])
+    return Facts(title[1], prerequisites(head[1]), *minutes, exercises(source))
 
 
 def prerequisites(text):
@@ -104,55 +67,41 @@ def prerequisites(text):
     return tuple(dict.fromkeys(named))
 
 
-def exercises(source, keys):
-    """{exercise: keys of its equations} in the source of a tutorial or of its solutions.
-
-    An exercise whose check names none of the tutorial's equations is about all of them.
-    """
-    calls = re.findall(r'lessons\.(\w+)\(\s*"(\d\d\.\d)",([^\n]*(?:\n    [^\n]*)*)', source)
-    keys_of = {}
-    for check, exercise, arguments in calls:
-        words = set(re.findall(r"\w+", arguments))
-        if check != "check_number":
-            words = {subjects()[word]["equation"] for word in words & set(subjects())}
-        keys_of[exercise] = tuple(key for key in keys if key in words) or keys
-    return dict(sorted(keys_of.items()))
+def exercises(source):
+    """The numbers of the exercises in the source of a tutorial or of its solutions, "01.2"."""
+    return sorted(set(re.findall(r'lessons\.check_\w+\(\s*"(\d\d\.\d)"', source)))
 
 
 # --- tables ---------------------------------------------------------------------------------------
-def equations_table(folder=FOLDER):
+def equations_table():
     """A Markdown table with one row for each equation."""
-    asked = [item for t in TUTORIALS for item in facts(t, folder).exercises.items()]
-    files = {key: equation.module.__name__.replace(".", "/") + ".py" for key, equation in EQUATIONS.items()}
     rows = [
         (
-            EQUATIONS[key].number,
+            equation.number,
             f"`{key}`",
-            f"[`{file}`](../{file})",
+            f"[`{shared.file_of(equation)}`](../{shared.file_of(equation)})",
             f"[`{key}.safetensors`](../p4dgs_ref/oracle/v1/{key}.safetensors)",
             f"[{tutorial_of(key).name}](notebooks/{tutorial_of(key).name}.ipynb)",
-            ", ".join(exercise for exercise, keys in asked if key in keys),
         )
-        for key, file in files.items()
+        for key, equation in EQUATIONS.items()
     ]
-    return shared.markdown_table(("no.", "key", "file", "vectors", "tutorial", "exercises"), rows)
+    return shared.markdown_table(("no.", "key", "file", "vectors", "tutorial"), rows)
 
 
-def path_table(folder=FOLDER):
+def path_table():
     """A Markdown table of both paths with the minutes of their tutorials, and the sums below."""
-    reading = {t.name[:2]: facts(t, folder).reading for t in TUTORIALS}
     rows = [
         (
             both_forms(t.name),
-            facts(t, folder).title,
-            *(f"{reading[t.name[:2]]}" if t.name[:2] in path else "" for path in PATHS.values()),
+            facts(t).title,
+            *(f"{facts(t).reading}" if t.name[:2] in path else "" for path in PATHS.values()),
         )
         for t in TUTORIALS
         if any(t.name[:2] in path for path in PATHS.values())
     ]
-    sums = [f"{sum(reading[number] for number in path)}" for path in PATHS.values()]
     head = ("tutorial", "what it is about", *(f"minutes, if {knows}" for knows in PATHS))
-    return shared.markdown_table(head, [*rows, ("together", "", *sums)])
+    sums = [sum(facts(t).reading for t in TUTORIALS if t.name[:2] in p) for p in PATHS.values()]
+    return shared.markdown_table(head, [*rows, ("together", "", *map(str, sums))])
 
 
 def both_forms(name):
@@ -160,48 +109,27 @@ def both_forms(name):
     return f"[{name}](notebooks/{name}.ipynb) ([source]({name}.py))"
 
 
-def order_table(seconds, folder=FOLDER):
-    """A Markdown table of the tutorials in order; `seconds` is {number: measured}."""
+def order_table():
+    """A Markdown table of the tutorials in order."""
     rows = []
     for tutorial in TUTORIALS:
-        title, after, reading, doing, asked = facts(tutorial, folder)
-        rows.append(
-            (
-                both_forms(tutorial.name),
-                title,
-                ", ".join(after),
-                str(len(asked)),
-                f"{seconds[tutorial.name[:2]]:.1f}" if tutorial.name[:2] in seconds else "",
-                f"{reading} + {doing}",
-            )
-        )
-    return shared.markdown_table(
-        ("tutorial", "what it is about", "after", "exercises", "seconds", "minutes"), rows
-    )
+        title, after, reading, doing, asked = facts(tutorial)
+        times = f"{reading} + {doing}"
+        rows.append((both_forms(tutorial.name), title, ", ".join(after), str(len(asked)), times))
+    head = ("tutorial", "what it is about", "after", "exercises", "minutes")
+    return shared.markdown_table(head, rows)
 
 
-def measured_before(folder=FOLDER):
-    """{number: seconds} as README.md states them."""
-    rows = re.findall(
-        r"^\| \[(\d\d)_.*\| (\d+\.\d) \| [^|]* \|$",
-        (Path(folder) / "README.md").read_text(encoding="utf-8"),
-        re.M,
-    )
-    return {number: float(seconds) for number, seconds in rows}
-
-
-def index(seconds, folder=FOLDER):
+def index():
     """The text of README.md with new tables.
 
     Only the text between a mark such as <!-- order --> and the next <!-- end --> is replaced.
     """
-    text = (Path(folder) / "README.md").read_text(encoding="utf-8")
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
     sections = {
-        "architecture": f"![{CAPTION}](pictures/{gallery.DRAWING})",
-        "paths": path_table(folder),
-        "order": order_table(seconds, folder),
-        "equations": equations_table(folder),
-        "gallery": gallery.gallery(),
+        "paths": path_table(),
+        "order": order_table(),
+        "equations": equations_table(),
     }
     for name, made in sections.items():
         before, mark, after = text.partition(f"<!-- {name} -->\n")
@@ -209,47 +137,43 @@ def index(seconds, folder=FOLDER):
     return text
 
 
-# --- measuring ------------------------------------------------------------------------------------
-def run(name, out):
-    """Run a tutorial, figures in `out`; return its seconds."""
-    start = time.perf_counter()
-    shared.run(f"{name}.py", [FOLDER / f"{name}.py"], out)
-    return time.perf_counter() - start
+# --- the command ----------------------------------------------------------------------------------
+def draw_whole_paper(out):
+    """Run 00 without a file of its own, so that it writes into `out` below the current folder."""
+    source = (FOLDER / "00_whole_paper.py").read_text(encoding="utf-8")
+    shared.run("00_whole_paper.py", ["-c", source], out)
 
 
-MADE = {  # what draws pictures and is no numbered tutorial with a solution
-    # Without a file of its own it writes into `out` below the current folder, as in a notebook.
-    "00": lambda out: shared.run(
-        "00", ["-c", (FOLDER / "00_whole_paper.py").read_text(encoding="utf-8")], out
-    ),
-    "beyond": lambda out: run("beyond_networks", out) + run("growing_detail", out),
+def draw_tutorial(name):
+    """A function that runs a tutorial, which writes its figures into the folder `out`."""
+    return lambda out: shared.run(f"{name}.py", [FOLDER / f"{name}.py"], out)
+
+
+MAKERS = {  # {word: what draws pictures into a folder}; `tour` has a folder of its own
+    "00": draw_whole_paper,
+    **{tutorial.name[:2]: draw_tutorial(tutorial.name) for tutorial in TUTORIALS},
     "demo": gallery.draw_demo,
-    "accuracy": gallery.draw_accuracy,
-    "tour": gallery.draw_tour,
-    "curve": gallery.draw_curve,
-    "effects": gallery.draw_effects,
+    "records": gallery.draw_records,
+    "tour": lambda _: tour.draw_pictures(),
 }
 
 
 def main(words):
-    """Run what the words name, or everything, renew its pictures, and write the index."""
-    names = {tutorial.name[:2]: tutorial.name for tutorial in TUTORIALS}
-    unknown = sorted(set(words) - {*names, *MADE, "index"})
+    """Draw what the words name, or everything, and write the index."""
+    unknown = sorted(set(words) - {*MAKERS, "index"})
     if unknown:
-        sys.exit(f"{' '.join(unknown)}: expected numbers of tutorials, index, {', '.join(MADE)}")
-    seconds = measured_before()
-    with tempfile.TemporaryDirectory() as out:
-        for number in [number for number in names if not words or number in words]:
-            seconds[number] = run(names[number], out)
-            print(f"{names[number]}: {seconds[number]:.1f} s", flush=True)
-        for make in [make for word, make in MADE.items() if not words or word in words]:
-            make(out)
-        architecture.save(Path(out) / gallery.DRAWING)
-        gallery.record(gallery.take(out, FOLDER / "pictures"))
-    handout.save(FOLDER / gallery.HANDOUT)
-    gallery.record([gallery.HANDOUT])
+        sys.exit(f"{' '.join(unknown)}: expected index or some of {', '.join(MAKERS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        for word, make in MAKERS.items():
+            if not words or word in words:
+                print(word, flush=True)
+                make(out)
+        gallery.draw_architecture(out)
+        gallery.take(out)
+    handout.save(FOLDER / "handout.pdf")
     write_text(FOLDER / "glossary.md", glossary.glossary())
-    write_text(FOLDER / "README.md", index(seconds))
+    write_text(FOLDER / "README.md", index())
 
 
 if __name__ == "__main__":

@@ -6,47 +6,48 @@ picture anew, which takes a few minutes; their files lie beside the pictures, so
 train in order to draw.
 """
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
-from p4dgs_ref.beyond import file
 from scipy.special import ndtr
 
-from p4dgs_ref import designs, lessons, model, output
-from p4dgs_ref.codec import quantise, rans
-from p4dgs_ref.lab.tables import compare
+from p4dgs_ref import lessons, output
+from p4dgs_ref.codec import container, quantise, rans
+from p4dgs_ref.codec.file import decode, encode, quantised_of
 from p4dgs_ref.report import evaluate, figures, inspect
 from p4dgs_ref.scenes import load, simulator
 from p4dgs_ref.scenes.files import write_image
+from p4dgs_ref.training.presets import TINY
+from p4dgs_ref.training.trainer import Trainer
 from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
 SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
-WALK = {a: simulator.camera_at(SCENE, np.radians(a), np.radians(26)) for a in range(361)}
-CAMERA, T = WALK[305], 0.3  # which all pictures show
+CAMERA, T = simulator.camera_at(SCENE, *np.radians((305, 26))), 0.3  # which all pictures show
 VIEW = {"xlim": (1, 62), "ylim": (59, 10)}  # without the empty margins
 DATA = (shared.FOLDER / "demo.p4dgs").read_bytes()
-PRESET = designs.PRESETS["tiny_coded"]
-FILE = designs.quantised_of(DATA)
+FILE = quantised_of(container.read_container(DATA))
 MODEL, DESIGN = FILE.model, FILE.model.design
 TRUTH = animation.truth(SCENE, CAMERA, T, MODEL.background)
 
-# Of each of the paper's datasets: what it claims, the limits of PSNR in the picture, and (MB, PSNR
-# in dB) of P-4DGS at four rates, from its last table. The paper does not say which files it
-# divides; the second one fits what it claims.
-PAPER = {
-    "D-NeRF": (
+# Of each of the paper's datasets: what it claims, the limits of PSNR in the picture, (MB, PSNR in
+# dB) of P-4DGS at four rates, from its last table, and (MB, PSNR, frames/s) of both methods, from
+# its first ones. The paper does not say which files it divides; the second rate fits its claims.
+PAPER = (
+    (
         "synthetic scenes (D-NeRF): “over 40×”",
         (34, 41),
         ((1.03, 38.10), (0.78, 37.73), (0.71, 37.38), (0.57, 35.10)),
+        {"P-4DGS": ("1.039", "38.10", "262"), "D3DGS": ("39.45", "38.28", "149")},
     ),
-    "NeRF-DS": (
+    (
         "real scenes (NeRF-DS): “over 90×”",
         (23, 25.2),
         ((0.70, 24.18), (0.65, 23.93), (0.57, 23.60), (0.54, 23.34)),
+        {"P-4DGS": ("0.704", "24.18", "274"), "D3DGS": ("59.38", "23.75", "58")},
     ),
-}
+)
 SECTIONS = {  # in the order of the strip: label and colour
     "positions": ("positions", show.PARTS["position, masks"]),
     "masks": ("masks", show.GREY),
@@ -55,10 +56,20 @@ SECTIONS = {  # in the order of the strip: label and colour
     "offset_scales": ("offset\nscales", show.PARTS["offset scales"]),
     "offsets": ("offsets", show.PARTS["offsets"]),
     "hash_grid": ("hash grid", show.CONTEXT),
-    "context_mlps": ("context\nnetworks", show.CONTEXT),
     "deformation_mlp": ("motion network", show.TIME),
-    "anchor_mlps": ("prediction networks", show.SPACE),
+    "anchor_mlps": ("prediction\nnetworks", show.SPACE),
+    "context_mlps": ("context\nnetworks", show.CONTEXT),
     "header": ("header", show.GREY),
+}
+# The paper's file of the scene T-Rex at its higher rate, in kB, with the colours of our sections.
+T_REX = {
+    "positions": 118,
+    "features": 191,
+    "scales": 99,
+    "offsets": 188,
+    "hash_grid": 18,
+    "deformation_mlp": 241,
+    "anchor_mlps": 38,
 }
 
 
@@ -72,18 +83,21 @@ class Silent(np.random.Generator):
 FAILURES = {  # title: generator of training, and what of the demo's preset changes
     "no noise": (Silent, {}),
     "no rate": (np.random.Generator, {"lambda_rate": 0.0}),
-    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * PRESET.lambda_rate}),
-    "one frequency in time": (np.random.Generator, {"L_t": 1}),
+    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * TINY.lambda_rate}),
 }
+
+
+def place_of(title):
+    """The file of a failure."""
+    return PLACE / f"{title.replace(' ', '_')}.p4dgs"
 
 
 def train():
     """Train the failures and write their files."""
     for title, (generator, changes) in FAILURES.items():
-        preset = replace(PRESET, **changes)
-        run = designs.trainer_of(load.load_scene("bouncing"), preset)
+        run = Trainer(load.load_scene("bouncing"), replace(TINY, **changes))
         run.rng = generator(run.rng.bit_generator)
-        (PLACE / f"{title.replace(' ', '_')}.p4dgs").write_bytes(designs.encode(run.run()))
+        place_of(title).write_bytes(encode(run.run()))
 
 
 # --- the pictures that are not in `show` ----------------------------------------------------------
@@ -91,27 +105,19 @@ def why(figure):
     """What a moving scene costs: ours, and those of the paper with P-4DGS and with D3DGS."""
     left, *panels = figure.subplot_mosaic("ab;ac", width_ratios=(1, 1.4)).values()
     count = len(MODEL.gaussians(T, CAMERA).x)
-    for size, x, color, label in (
-        (
-            evaluate.explicit_bytes(MODEL, count),
-            10,
-            show.PALE,
-            f"{count} Gaussians\nof {evaluate.FLOATS_PER_GAUSSIAN} float32 numbers,\nand a network",
-        ),
-        (len(DATA), 105, show.SPACE, "our file, entropy coded"),
-    ):
+    explicit = evaluate.explicit_bytes(MODEL, count)
+    for size, color in ((explicit, show.PALE), (len(DATA), show.SPACE)):
         side = np.sqrt(size)
         left.fill((0, side, side, 0), (0, 0, side, side), color=color)
-        left.text(x, side - 12, f"{label}:\n{size:,} bytes", va="top")
+    of_numbers = f"of {evaluate.FLOATS_PER_GAUSSIAN} float32 numbers,\nand a network"
+    text = f"{count} Gaussians\n{of_numbers}:\n{explicit:,} bytes"
+    left.text(10, np.sqrt(explicit) - 12, text, va="top")
+    left.text(10, side - 12, f"our file:\n{len(DATA):,} bytes", va="top", color="white")
     left.set(aspect="equal", title="our scene (area = bytes)", **show.BARE)
-    for ax, (dataset, (claim, limits, rates)) in zip(panels, PAPER.items()):
+    for ax, (claim, limits, rates, methods) in zip(panels, PAPER):
         ax.plot(*zip(*rates), "o-", color=show.SPACE)
         small, quality = rates[1]
-        for method, name, color in (
-            ("p4dgs", "P-4DGS", show.SPACE),
-            ("d3dgs", "D3DGS", show.GREY),  # the last one, whose size is divided below
-        ):
-            psnr, _, size, fps = compare.PAPER[dataset][method].split()
+        for (name, (size, psnr, fps)), color in zip(methods.items(), (show.SPACE, show.GREY)):
             ax.plot(float(size), float(psnr), "o", ms=10, color=color)
             ax.text(
                 0.9 * float(size),
@@ -121,14 +127,9 @@ def why(figure):
                 size=14,
                 va="bottom",
             )
-        ax.annotate(
-            f"{size} MB / {small} MB = {float(size) / small:.0f},\nat {quality} dB",
-            (small, quality),
-            (2, quality),
-            size=14,
-            va="top",
-            arrowprops={"arrowstyle": "->", "shrinkB": 6},
-        )
+        ratio = float(size) / small  # the last method is D3DGS
+        text = f"← {size} MB / {small} MB = {ratio:.0f},\n    at {quality} dB"
+        ax.text(1.1 * small, quality, text, size=14, va="top")
         ax.set(
             title=f"the paper's {claim}",
             ylabel="PSNR (dB)",
@@ -141,56 +142,53 @@ def why(figure):
 
 
 def parts(figure):
-    """The file as a strip, section by section, in the paper's design and with coded networks."""
+    """The file section by section, its parts without networks enlarged, and a file of the paper."""
     ax = figure.subplots()
-    design = model.Design(**{row.name: vars(DESIGN)[row.name] for row in fields(model.Design)})
-    numbers = {row.name: vars(MODEL)[row.name] for row in fields(model.Model)}
-    plain = designs.encode(model.Model(**{**numbers, "design": design}))
-    paper, coded = inspect.components(plain), inspect.components(DATA)
-    zoom, colors = sum(paper.values()) / len(DATA), {n: color for n, (_, color) in SECTIONS.items()}
-    labels = {  # of narrow parts above the strip, of the others below it
-        name: (1.45 if coded[name] < 400 else -0.2, f"{coded[name]:,}\n{label}")
-        for name, (label, _) in SECTIONS.items()
-    }
-    for y, sizes, title in (
-        (4, paper, "our model, written in the paper's design"),
-        (2.4, coded, "the same model, written with coded networks"),
-    ):
-        networks = sum(size for name, size in sizes.items() if "mlp" in name)
-        total = f"{sum(sizes.values()):,} bytes, {networks:,} of them networks"
-        ax.text(0, y + 0.45, f"{title}: {total}", size=18)
-        show.strip(ax, {name: sizes[name] for name in SECTIONS}, y, colors)
-    ax.fill(
-        (0, len(DATA), zoom * len(DATA), 0),
-        (2.05, 2.05, 0.9, 0.9),
-        color=show.PALE,
-        alpha=0.5,
-        lw=0,
+    sizes = {name: inspect.components(DATA)[name] for name in SECTIONS}
+    anchors = dict(list(sizes.items())[: list(sizes).index("deformation_mlp")])
+    whole, coded = sum(sizes.values()), sum(anchors.values())
+    networks = sum(size for name, size in sizes.items() if "mlp" in name)
+    rows = (
+        (4, sizes, f"our file: {whole:,} bytes, {networks:,} of them networks", "{:,}"),
+        (2.1, anchors, f"its first parts, enlarged: {coded:,} bytes", "{:,}"),
+        (0, T_REX, f"the paper's T-Rex, higher rate: {sum(T_REX.values())} kB", "{:,} kB"),
     )
-    show.strip(ax, {name: zoom * coded[name] for name in SECTIONS}, 0.4, colors, 1, labels)
-    ax.set(xlim=(0, zoom * len(DATA)), ylim=(-1.3, 4.9), **show.BARE)
+    for y, row, title, form in rows:
+        scale = 100 / sum(row.values())
+        ax.text(0, y + 0.45, title, size=18)
+        show.strip(
+            ax,
+            {name: scale * size for name, size in row.items()},
+            y,
+            {name: color for name, (_, color) in SECTIONS.items()},
+            labels={
+                name: (y - 0.42, f"{form.format(size)}\n{SECTIONS[name][0]}")
+                for name, size in row.items()
+                if scale * size > 5
+            },
+        )
+    share = 100 * coded / whole
+    ax.fill((0, share, 100, 0), (3.65, 3.65, 2.45, 2.45), color=show.PALE, alpha=0.5, lw=0)
+    ax.set(xlim=(0, 100), ylim=(-1.4, 4.9), **show.BARE)
 
 
 def breaks(figure):
     """The same picture after failures of training and of decoding."""
-    sections = designs.read_container(DATA)
-    first, *rest = sections["deformation_mlp"]
-    sections["deformation_mlp"] = bytes([first ^ 64, *rest])
+    sections = container.read_container(DATA)
+    body = bytearray(sections["deformation_mlp"])
+    body[9217] ^= 64  # the highest bit of a weight's exponent
     files = {
         "the file": DATA,
-        **{title: (PLACE / f"{title.replace(' ', '_')}.p4dgs").read_bytes() for title in FAILURES},
-        "one bit changed": file.write_container(sections),
+        **{title: place_of(title).read_bytes() for title in FAILURES},
+        "one bit changed": container.write_container({**sections, "deformation_mlp": bytes(body)}),
     }
-    shown = {title: (designs.decode(data), data) for title, data in files.items()}
+    shown = {title: (decode(data), data) for title, data in files.items()}
     shown["one ulp in the decoder"] = one_ulp()
-    first, *axes = figure.subplots(2, 4).flat
-    truth = animation.truth(SCENE, show.enlarged(CAMERA, 8), T, MODEL.background)
-    show.picture(first, truth, CAMERA, **VIEW, title="the truth,\nray traced")
-    for ax, (title, decoded) in zip(axes, shown.items()):
+    for ax, (title, decoded) in zip(figure.subplots(2, 3).flat, shown.items()):
         show.scored_picture(ax, *decoded, CAMERA, T, TRUTH, VIEW, title)
 
 
-def one_ulp(wrong=2230):
+def one_ulp(wrong=2276):
     """The model that a decoder finds if sigma of one symbol is an ulp too large, and the message.
 
     The coder's tables come from floats here, as tutorial 21 explains. The decoder reads zeros after
@@ -217,13 +215,14 @@ def one_ulp(wrong=2230):
 
 
 # --- all pictures ---------------------------------------------------------------------------------
-# Anchor 41 has its children all over the blue ball; the pixel is at the lower edge of the red one.
+EDGE = (36, 32)  # column and row of a pixel at the lower edge of the red ball
+FAMILY = 63  # an anchor that has its children all over the front of the green ball
 PICTURES = {  # title: what fills its figure
     "1  Why": why,
-    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, 41, VIEW),
-    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, 41, WALK),
+    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, FAMILY, VIEW),
+    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, FAMILY),
     "4  Time": lambda figure: show.time(figure, MODEL, CAMERA, T, VIEW),
-    "5  Splatting": lambda figure: show.pixel(figure, MODEL, CAMERA, T, (36, 32)),
+    "5  Splatting": lambda figure: show.pixel(figure, MODEL, CAMERA, T, EDGE),
     "6  Steps": lambda figure: show.steps(figure, MODEL, CAMERA, T, TRUTH, VIEW),
     "7  Context": lambda figure: show.knowledge(figure, FILE, level=0.0),
     "8  Bits": lambda figure: show.bits(figure, DATA, CAMERA, T, VIEW),
@@ -254,6 +253,7 @@ def draw_pictures():
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+            pixels = shared.in_few_colors(pixels)
             write_image(staging / "tour" / f"{i:02d}.png", pixels, optimize=True, bits=8)
 
 

@@ -19,7 +19,15 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("29_porting_in_an_afternoon")
+architecture.show(
+    "28_porting_in_an_afternoon",
+    "rounding",
+    "hash_grid",
+    "projection",
+    "compositing",
+    "entropy_coder",
+    "file",
+)
 node = shutil.which("node") or print("node is not installed: the port is not run here")
 
 # %% [markdown]
@@ -178,7 +186,7 @@ for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).
 figure, ax = plt.subplots(figsize=(9, 4))
 ax.barh(list(MISTAKES), [row[-1] for row in MISTAKES.values()], edgecolor="k")
 lessons.finish(ax, xlabel="cases that fail; the first of them names the equation")
-lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
+lessons.show(figure, "28_porting", title="Seven mistakes in one line each")
 
 # %% [markdown]
 # ## What a codec does with it
@@ -195,10 +203,10 @@ lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
 
 # %% [markdown]
 # ## Exercises
-# **29.1** ● How many of the six ties $-2.5, -1.5, \dots, 2.5$ does $\lfloor v + \frac12\rfloor$
+# **28.1** ● How many of the six ties $-2.5, -1.5, \dots, 2.5$ does $\lfloor v + \frac12\rfloor$
 # round otherwise than to even? For example, $0.5$ is one of them and $1.5$ is not.
 #
-# **29.2** ●● A double holds every integer up to $2^{53}$, and beyond it only the even ones. What is
+# **28.2** ●● A double holds every integer up to $2^{53}$, and beyond it only the even ones. What is
 # the smallest $j$ for which the product $2654435761\, j$ of the hash is not exact in a double?
 #
 # **Predict, then run.** In a file, a level of the hash grid has at most $2^{16}$ nodes along an
@@ -206,8 +214,8 @@ lessons.show(figure, "29_porting", title="Seven mistakes in one line each")
 
 # %%
 answer_1 = answer_2 = ...
-lessons.check_number("29.1", answer_1)
-lessons.check_number("29.2", answer_2)
+lessons.check_number("28.1", answer_1)
+lessons.check_number("28.2", answer_2)
 
 # %% [markdown]
 # ## Check your port
