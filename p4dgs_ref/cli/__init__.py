@@ -69,3 +69,16 @@ def tell(text):
 def show(arguments, value, text):
     """Print the value as JSON with --json, otherwise the text."""
     tell(json.dumps(value, indent=1) if arguments.json else text)
+
+
+def ask(arguments, what, seconds):
+    """Say how long trainings take, and go on only if the user wants it; --yes does."""
+    estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
+    is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+    expected = "where there is no terminal to ask on"
+    require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
+    say(estimate)
+    if not arguments.yes:
+        whisper("go on? [y/N] ")
+        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+            raise KeyboardInterrupt

@@ -11,7 +11,7 @@ import p4dgs_ref as p4
 
 from ..codec import container
 from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
-from ..report import figures, splats
+from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
@@ -21,10 +21,7 @@ from ..training import advice
 from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
 from ..training.presets import choose
 from ..training.trainer import Trainer
-from . import UsageError, caution, progress, require, say, show, tell, text
-
-PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".apng", ".mp4")  # no names of folders
-HELD = ("azimuth", "elevation", "distance", "size", "frames")  # options about a held camera
+from . import UsageError, ask, caution, progress, require, show, tell, text
 
 
 def read_preset(name, changes=()):
@@ -49,41 +46,21 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(arguments, trainers, jobs=1):
-    """Time the first steps of long trainings; more than an hour needs --yes, if there is one.
-
-    `trainers` holds pairs of a Trainer and the number of trainings like it, of which `jobs` run at
-    once.
-    """
-    iterations = sum(count * trainer.preset.iterations for trainer, count in trainers)
-    if iterations <= 10_000 and all(trainer.primitives <= 2000 for trainer, _ in trainers):
-        return
-    minutes = sum(count * seconds_of(trainer) for trainer, count in trainers) / 60 / jobs
-    say(
-        f"about {minutes:.0f} minutes for {iterations:.0f} iterations, judging by the first of "
-        "every training (later stages cost more)"
-    )
-    require(
-        minutes <= 60 or getattr(arguments, "yes", True),
-        "--yes",
-        "this would take more than an hour; expected --yes to start it all the same",
-    )
-
-
-def seconds_of(trainer):
-    """About how long a training takes, judging by its first iterations, which are done.
-
-    The median of three leaves out what only the first one does.
-    """
+def estimate(arguments, trainer):
+    """Time the first steps of a long training, and go on only if the user wants it."""
     iterations = trainer.preset.iterations
-    return np.median([timed(trainer.step)[1] for _ in range(min(3, iterations))]) * iterations
+    if iterations <= 10_000 and trainer.primitives <= 2000:
+        return
+    # The median of three leaves out what only the first one does.
+    seconds = np.median([timed(trainer.step)[1] for _ in range(min(3, iterations))])
+    ask(arguments, f"{iterations} iterations, later ones slower", seconds * iterations)
 
 
 def demo(arguments):
     """Run the main job and write its report."""
     preset = read_preset(arguments.preset, arguments.changes)
     scene = p4.load_scene(arguments.scene)
-    estimate(arguments, [(Trainer(scene, preset), 1)])
+    estimate(arguments, Trainer(scene, preset))
     metrics = p4.main_job(
         scene,
         preset,
@@ -114,7 +91,7 @@ def train(arguments):
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
         refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
-        estimate(arguments, [(Trainer(scene, preset), 1)])
+        estimate(arguments, Trainer(scene, preset))
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
             "no scene.json lists effects, so all are trained; "
@@ -171,78 +148,31 @@ def decode(arguments):
     tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
 
 
-def views_of(scene):
-    """Names, cameras and times of a scene's test views; no two of the names are equal."""
-    names = [view.name.replace("/", "_") for view in scene.test]
-    if len(set(names)) < len(names):
-        names = [f"{i:03d}_{name}" for i, name in enumerate(names)]
-    return [(name, view.camera, view.time) for name, view in zip(names, scene.test)]
-
-
 def render(arguments):
-    """Draw pictures of a file, into a folder that has none, or as one GIF."""
-    output, known = Path(arguments.output), p4.SETTINGS
-    values = {name: getattr(arguments, name) for name in HELD}
-    given = {name: value for name, value in values.items() if value is not None}
+    """Draw pictures of a file into a folder that has none; of a held camera also as a GIF."""
+    output, settings = Path(arguments.output), p4.SETTINGS[arguments.settings]
     require(
-        arguments.settings in known,
-        f"--settings {arguments.settings}",
-        f"expected one of {', '.join(known)}",
-    )
-    require(
-        not (arguments.scene and given),
-        " ".join(f"--{name}" for name in given),
-        "expected without --scene, whose cameras and times are drawn",
-    )
-    suffix = output.suffix.lower()
-    require(suffix not in PICTURES, output, "expected a folder, or a name that ends in .gif")
-    is_gif = suffix == ".gif"
-    require(
-        is_gif or not any(output.glob("[!.]*")),
+        not any(output.glob("[!.]*")),
         output,
         "has files already; expected a new or an empty folder, so that all pictures are of one run",
     )
-    (_, model, _), reads = read_file(arguments.file), [arguments.file]
+    _, model, _ = read_file(arguments.file)
     if arguments.scene:
-        scene = p4.load_scene(arguments.scene)
-        views = views_of(scene)
-        reads += scene.source.rglob("*") if is_gif else ()  # a folder of pictures is new anyway
-    else:
-        times = np.linspace(0, 1, given.pop("frames", 24))
-        camera = figures.held_camera(model, **given)
-        views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
-    with new_file(output, *reads, start=b"GIF8") if is_gif else staged_folder(output) as place:
-        images = [
-            np.clip(model.render(camera, t, known[arguments.settings]), 0, 1)
-            for _, camera, t in views
+        views = [
+            (f"{i:03d}", v.camera, v.time)
+            for i, v in enumerate(p4.load_scene(arguments.scene).test)
         ]
-        if is_gif:
-            write_atomically(place, lambda file: file.write(figures.gif_of(images)))
-        else:
-            for (name, *_), image in zip(views, images):
-                write_image(place / f"{name}.png", (image * 255).round().astype(np.uint8))
-            if not arguments.scene:
-                (place / "motion.gif").write_bytes(figures.gif_of(images))
+    else:
+        held = arguments.azimuth, arguments.elevation, arguments.distance, arguments.size
+        camera, times = figures.held_camera(model, *held), np.linspace(0, 1, arguments.frames)
+        views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+    with staged_folder(output) as staging:
+        images = [np.clip(model.render(camera, t, settings), 0, 1) for _, camera, t in views]
+        for (name, *_), image in zip(views, images):
+            write_image(staging / f"{name}.png", (image * 255).round().astype(np.uint8))
+        if not arguments.scene:
+            (staging / "motion.gif").write_bytes(figures.gif_of(images))
     tell(f"{output}: {len(images)} images")
-
-
-def export_ply(arguments):
-    """Write the Gaussians of one time as the held camera sees them."""
-    file, (_, model, _) = Path(arguments.file), read_file(arguments.file)
-    camera = figures.held_camera(model)
-    gaussians = model.gaussians(arguments.time, camera)
-    with new_file(arguments.output or file.with_suffix(".ply"), file, start=b"ply\n") as output:
-        splats.write_gaussians(
-            output,
-            gaussians,
-            comments=(
-                f"{file.stem}, a P-4DGS model, frozen at time {arguments.time:.6g}",
-                "colours as seen from {:.4g} {:.4g} {:.4g}".format(*camera.center),
-                "background of the model: {:.3g} {:.3g} {:.3g}".format(*model.background),
-                f"effects of the model: {' '.join(model.design.effects) or 'none'}",
-            ),
-        )
-    tell(f"{output}: {len(gaussians.alpha)} Gaussians")
 
 
 def view(arguments):

@@ -4,30 +4,14 @@ Each imports the part of the laboratory that it needs.
 """
 
 import os
-import sys
 from contextlib import nullcontext
-from pathlib import Path
 
 from ..output import staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from . import progress, require, say, show, tell, whisper
-from .job import read_file
+from . import ask, progress, require, show, tell
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
-
-
-def ask(arguments, what, seconds):
-    """Say how long trainings take, and go on only if the user wants it; --yes does."""
-    estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
-    is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    expected = "where there is no terminal to ask on"
-    require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
-    say(estimate)
-    if not arguments.yes:
-        whisper("go on? [y/N] ")
-        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-            raise KeyboardInterrupt
 
 
 def accuracy(arguments):
@@ -61,25 +45,16 @@ def hard_cases(arguments):
 
 
 def effects(arguments):
-    """Count what the effects of a scene or file cost; train to tell what they gain."""
+    """Count what the effects of a scene cost; train to tell what they gain."""
     from ..lab import effect_ledger
     from ..lab.accuracy import trainings
 
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
-        require(not arguments.gain, "--gain", "expected without --suggest")
-        where = f"-o {arguments.output}"
-        require(not arguments.output, where, "expected without --suggest, which writes no files")
         return suggest_effects(arguments)
-    folder = arguments.output or "report"
-    is_file = Path(arguments.scene).is_file()
-    require(not (is_file and arguments.gain), arguments.scene, "expected a scene for --gain")
-    with staged_folder(folder, arguments.scene if is_file else None) as staging:
-        if is_file:
-            ledger = effect_ledger.of_model(read_file(arguments.scene)[1])
-        else:
-            scene = load_scene(arguments.scene)
-            ledger = effect_ledger.of_scene(scene)
+    scene = load_scene(arguments.scene)
+    with staged_folder(arguments.output) as staging:
+        ledger = effect_ledger.of_scene(scene)
         if arguments.gain:
             tasks = effect_ledger.tasks_of(scene)
             ask(arguments, f"{len(tasks)} trainings", trainings.seconds_of(tasks, JOBS))
@@ -87,7 +62,7 @@ def effects(arguments):
             write_csv(staging / "effects.csv", trained)
             effect_ledger.add_gains(ledger, trained)
         effect_ledger.draw_ledger(staging / "effects.png", ledger["effects"])
-    text = f"{effect_ledger.to_text(ledger)}\npicture: {folder}/effects.png"
+    text = f"{effect_ledger.to_text(ledger)}\npicture: {arguments.output}/effects.png"
     show(arguments, ledger, text)
 
 

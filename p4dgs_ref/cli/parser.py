@@ -73,19 +73,14 @@ def output(help, **settings):
     return option("-o", "--output", metavar="PATH", help=help, **settings)
 
 
-def preset(default, help):
-    """The option --preset; `presets` lists the names."""
-    return option("--preset", default=default, metavar="NAME", help=help)
-
-
 JSON = switch("--json", "print JSON instead of text")
-YES = switch("--yes", "go on although the estimate is over an hour")
-ASKED = switch("--yes", "go on with trainings without being asked")
+YES = switch("--yes", "begin long trainings without being asked")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
 SETTINGS = (
+    option("--preset", default="tiny", metavar="NAME", help="of `presets` (tiny)"),
     option("--seed", type=bounded(int, 0), default=0, metavar="N", help="of everything random (0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "no progress line"),
@@ -138,7 +133,6 @@ GROUPS = {
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 JSON,
-                preset("tiny", "of the training (tiny)"),
                 *SETTINGS,
                 output("folder of the report (report)", default="report"),
             ),
@@ -155,7 +149,6 @@ GROUPS = {
                     metavar="N",
                     help="divide both sides of the training views by this (1)",
                 ),
-                preset("tiny", "of the training (tiny)"),
                 *SETTINGS,
                 option(
                     "--points",
@@ -181,43 +174,48 @@ GROUPS = {
             "draw a file over time, from a held camera or from the test views of a scene",
             (
                 option("file", help="a .p4dgs file"),
-                output("new folder to write to, or a .gif file", required=True),
+                output("new folder to write to", required=True),
                 option(
                     "--azimuth",
                     type=bounded(float, -360, 360),
+                    default=40.0,
                     metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
                     type=bounded(float, -89, 89),
+                    default=30.0,
                     metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
+                    default=3.6,
                     metavar="D",
                     help="from the middle of the anchors (3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
                     type=bounded(int, 1, 4096),
+                    default=128,
                     metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
                     type=bounded(int, 1, 10_000),
+                    default=24,
                     metavar="N",
                     help="times in 0 ... 1 (24)",
                 ),
                 option("--scene", help="use the cameras and times of this scene instead"),
                 option(
                     "--settings",
+                    choices=("exact", "kernel", "fast"),
                     default="fast",
-                    metavar="NAME",
-                    help="of the renderer: exact, kernel or fast (fast)",
+                    help="of the renderer (fast)",
                 ),
             ),
         ),
@@ -250,21 +248,6 @@ GROUPS = {
                 output("page to write (default beside the first FILE)"),
             ),
         ),
-        "export-ply": (
-            "job.export_ply",
-            "write a file's Gaussians of one time and view as a PLY file for splat viewers",
-            (
-                FILE,
-                option(
-                    "--time",
-                    type=bounded(float, 0, 1),
-                    default=0.0,
-                    metavar="T",
-                    help="to freeze (0)",
-                ),
-                output("file to write (default beside FILE)"),
-            ),
-        ),
         "presets": (
             "job.presets",
             "what each preset changes, beside the paper's values",
@@ -281,7 +264,7 @@ GROUPS = {
             (
                 JSON,
                 switch("--train", "train anew for the panel of iterations, instead of its record"),
-                ASKED,
+                YES,
                 output("folder of accuracy.png and accuracy.csv (report)", default="report"),
             ),
         ),
@@ -298,13 +281,13 @@ GROUPS = {
             "lab.effects",
             "what each effect of a scene costs, and that the others cost nothing",
             (
-                option("scene", help=f"{SCENE_HELP}, or a .p4dgs file"),
+                SCENE,
                 JSON,
                 switch("--gain", "also train with and without each effect: what it gains"),
                 switch("--suggest", "only say which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
-                ASKED,
-                output("folder of effects.png (report)"),
+                YES,
+                output("folder of effects.png (report)", default="report"),
             ),
         ),
     },
