@@ -39,7 +39,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref.codec import rans
-from p4dgs_ref.codec.container import require
+from p4dgs_ref.codec.container import BitstreamError, require
 from p4dgs_ref.codec.gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.plain import networks_of, require_finite
 from p4dgs_ref.codec.streams import (
@@ -112,7 +112,10 @@ def read_networks(data, section, shapes):
     scales = []
     for (_, J), (t_W, t_b) in zip(layers, levels):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
-    symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
+    try:
+        symbols = decode_symbols(data[at:], tables_of(np.concatenate(scales)), section)
+    except BitstreamError as error:
+        raise BitstreamError(section, at + error.offset, error.message) from None
     require(
         np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,

@@ -62,7 +62,7 @@ def show(scene, tasks, found, folder):
     summary = {row["label"]: row for row in means(found, "label")}
     for name, row in summary.items():
         row["times"] = row["bytes"] / summary[PAPERS]["bytes"]
-        row["fps"] = 1e3 * len(scene.test) / times[name].median
+        row["fps"] = 1e3 * len(scene.test) / times[name].ms
         row["paper"] = {data: cells[name] for data, cells in PAPER.items()}
     print(
         f"{scene.name}; {tasks[0].iterations:,} iterations; {seeds_of(found)}. Bytes of the file,"
