@@ -8,85 +8,29 @@
     view = scene.test[0]
     image = p4.decode(data).render(view.camera, view.time)
 
-Each name is imported when it is first used. A program can therefore call `prepare` after importing
-this package and before NumPy loads.
+The public names stand in `__init__.pyi`, where type checkers and editors read them, too. Each is
+imported when it is first used, so that a program can call `prepare` before NumPy loads.
 """
 
+import re
 from importlib import import_module
+from pathlib import Path
 
-TYPE_CHECKING = False  # type checkers know the name; importing it from typing takes 10 ms
-if TYPE_CHECKING:
-    from typing import Any
+_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_HOME = {name: module for module, name in re.findall(r"from (\S+) import (\w+) as", _STUB)}
 
-    from . import oracle
-    from .arithmetic import prepare
-    from .codec.container import BitstreamError
-    from .codec.file import decode, encode
-    from .model import Model
-    from .report.evaluate import evaluate
-    from .report.jobs import main_job
-    from .scenes import Scene, SceneError, View, load_scene
-    from .scenes.simulator import simulate
-    from .splatting.camera import Camera, look_at
-    from .splatting.settings import SETTINGS
-    from .table import EQUATIONS
-    from .training.fit import train
-    from .training.presets import PRESETS
-
-__version__ = "0.1.0"
-
-__all__ = [
-    "EQUATIONS",
-    "PRESETS",
-    "SETTINGS",
-    "BitstreamError",
-    "Camera",
-    "Model",
-    "Scene",
-    "SceneError",
-    "View",
-    "decode",
-    "encode",
-    "evaluate",
-    "load_scene",
-    "look_at",
-    "main_job",
-    "oracle",
-    "prepare",
-    "simulate",
-    "train",
-]
-
-_HOME = {
-    "EQUATIONS": "table",
-    "PRESETS": "training.presets",
-    "SETTINGS": "splatting.settings",
-    "BitstreamError": "codec.container",
-    "Camera": "splatting.camera",
-    "Model": "model",
-    "Scene": "scenes.scene",
-    "SceneError": "scenes",
-    "View": "scenes.scene",
-    "decode": "codec.file",
-    "encode": "codec.file",
-    "evaluate": "report.evaluate",
-    "load_scene": "scenes.load",
-    "look_at": "splatting.camera",
-    "main_job": "report.jobs",
-    "prepare": "arithmetic",
-    "simulate": "scenes.simulator",
-    "train": "training.fit",
-}
+__all__ = [*_HOME]
 
 
-def __getattr__(name: str) -> "Any":
-    """A name of `__all__`, from the module that defines it."""
-    if name not in __all__:
+def __getattr__(name):
+    """A public name, from the module that defines it; `oracle` is such a module itself."""
+    if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"{__name__}.{_HOME.get(name, name)}")
-    return getattr(module, name) if name in _HOME else module
+    if _HOME[name] == ".":
+        return import_module(f".{name}", __name__)
+    return getattr(import_module(_HOME[name], __name__), name)
 
 
-def __dir__() -> list[str]:
+def __dir__():
     """The names of the module and those that `__getattr__` imports."""
     return sorted({*globals(), *__all__})

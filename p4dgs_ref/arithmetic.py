@@ -111,7 +111,7 @@ def arithmetic():
     import numpy as np
     import scipy
 
-    from . import __version__
+    from .version import __version__
 
     versions = f"p4dgs_ref {__version__}, NumPy {np.__version__}, SciPy {scipy.__version__}"
     return f"{versions}, kernels: {kernels()}"

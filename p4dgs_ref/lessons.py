@@ -13,7 +13,7 @@ import numpy as np
 from .attributes import ATTRIBUTES
 from .output import write_atomically
 from .report.figures import COLORS
-from .table import EQUATIONS
+from .splatting.table import EQUATIONS
 
 
 class Tutorial(NamedTuple):

@@ -1,8 +1,8 @@
 """Files and folders that are never half-written.
 
 Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
-rename replaces a file in one step, so a reader sees the old file or the whole new one. The hidden
-folder of a process that was killed stays until something else is written beside it.
+rename replaces a file in one step, so a reader sees the old file or the whole new one. Where a
+process is killed, its hidden folder stays.
 
 What a command may replace: a regular file that it does not read. Where the user names the file, it
 is empty or of the kind that is written, which its first bytes tell; in a folder that the user
@@ -13,8 +13,7 @@ or a report of `demo`, is never replaced by another training.
 import errno
 import os
 import shutil
-import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,7 +25,6 @@ except ImportError:  # Windows: nothing is locked there
     fcntl = None
 
 PART = ".p4dgs-part-"
-LOCK_SECONDS = 5.0  # within which a process has locked the hidden folder that it has made
 
 
 class OutputError(ValueError):
@@ -34,26 +32,27 @@ class OutputError(ValueError):
 
 
 @contextmanager
-def locked(folder, wait=False):
+def locked(folder):
     """Hold the lock of a folder, which the system releases when the process ends.
 
-    Where another process holds it, waits or raises OutputError. Yields whether there is a lock,
-    because not every file system has them.
+    Raises OutputError where another process holds it. Not every file system has locks.
     """
-    with ExitStack() as stack:
-        has_locks = fcntl is not None
-        if has_locks:
-            handle = os.open(folder, os.O_RDONLY)
-            stack.callback(os.close, handle)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise OutputError(
-                    f"{folder}: another process is writing to it; expected a folder of its own"
-                ) from None
-            except OSError:
-                has_locks = False
-        yield has_locks
+    if fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"{folder}: another process is writing to it; expected a folder of its own"
+            ) from None
+        except OSError:
+            pass  # no locks there
+        yield
+    finally:
+        os.close(handle)
 
 
 def destination(path):
@@ -69,14 +68,14 @@ def destination(path):
 
 @contextmanager
 def new_part(folder):
-    """Yield a hidden folder inside of `folder`, which is locked, and removed at the end.
+    """Yield a hidden folder inside of `folder`, which is removed at the end.
 
     Where the disk is full, the error names the file in `folder` that was written last.
     """
-    with ExitStack() as stack:
-        with deferred():  # a signal between its making and its `with` would leave it behind
-            part = Path(stack.enter_context(TemporaryDirectory(prefix=PART, dir=folder)))
-            stack.enter_context(locked(part, wait=True))
+    with deferred():  # a signal while it is made would leave it behind
+        hidden = TemporaryDirectory(prefix=PART, dir=folder)
+    with hidden as name:
+        part = Path(name)
         try:
             yield part
         except OSError as error:
@@ -94,17 +93,6 @@ def files_in(folder):
     return sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.stat().st_size))
 
 
-def sweep(folder):
-    """Remove the hidden folders in `folder` whose processes were killed.
-
-    A process that lives holds the lock of its folder, or has made it LOCK_SECONDS ago at most.
-    """
-    for part in folder.glob(f"{PART}*"):
-        with suppress(OSError, OutputError), locked(part) as is_ours:
-            if is_ours and time.time() - part.stat().st_mtime > LOCK_SECONDS:
-                shutil.rmtree(part)
-
-
 @contextmanager
 def replaced(path):
     """Yield the name of a new file, which at the end replaces the file that `path` stands for."""
@@ -116,7 +104,6 @@ def replaced(path):
 
 def write_atomically(path, write):
     """Call `write(file)` on a new file, then put it in the place of `path`."""
-    sweep(destination(path).parent)
     with replaced(path) as part, open(part, "wb") as file:
         write(file)
         file.flush()
@@ -124,7 +111,7 @@ def write_atomically(path, write):
 
 
 @contextmanager
-def made(path):
+def writable_folder(path):
     """Make the folder `path` and prove that it can be written to, before any long work begins.
 
     If the work fails, the folders that were made for it are removed again where they are empty.
@@ -149,13 +136,12 @@ def made(path):
 
 
 @contextmanager
-def filled(path, reads=None):
+def staged_folder(path, reads=None):
     """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
     After an error nothing is moved. None of them may take the place of the file `reads`.
     """
-    with made(path) as folder, new_part(folder) as part:
-        sweep(folder)
+    with writable_folder(path) as folder, new_part(folder) as part:
         yield part
         files = files_in(part)
         for file in files:
@@ -169,7 +155,7 @@ def filled(path, reads=None):
 
 @contextmanager
 def new_file(path, *reads, start=b""):
-    """Prove that the file `path` can be written; its folder is made as in `made`.
+    """Prove that the file `path` can be written; its folder is made as in `writable_folder`.
 
     It must be none of the files `reads`, from which it is made; None stands for no file. An old
     file must be empty or begin with `start`, as the new one does.
@@ -181,11 +167,11 @@ def new_file(path, *reads, start=b""):
         with open(target, "rb") as old:
             if old.read(len(start)) not in (b"", start):
                 raise OutputError(f"{path}: a file of another kind; expected a new name")
-    with made(target.parent):
+    with writable_folder(target.parent):
         yield Path(path)
 
 
-def absent(path, remedy="delete it, or name another folder"):
+def refuse_existing(path, remedy="delete it, or name another folder"):
     """Refuse to train where another training has left the file `path`.
 
     Raises OSError for a name that the file system does not take.

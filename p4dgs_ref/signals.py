@@ -35,13 +35,13 @@ def handled(handler):
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
     before = {number: signal.getsignal(number) for number in SIGNALS if in_main_thread}
-    ours = {number: old for number, old in before.items() if old in ENDING}
-    for number in ours:
+    taken = {number: old for number, old in before.items() if old in ENDING}
+    for number in taken:
         signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, old in ours.items():
+        for number, old in taken.items():
             signal.signal(number, old)
 
 

@@ -79,7 +79,7 @@ def right_reference():
 
     The vectors of the equations are asked once a session.
     """
-    from p4dgs_ref.oracle import checker
+    checker = pytest.importorskip("p4dgs_ref.oracle.checker")
     from tests.oracle.answers import Port
 
     report = checker.check_port(Port(), ["L1"])

@@ -12,8 +12,8 @@ from tests.budget import CEILINGS, PACKAGE, budget, files, imported, room_of, to
 PACKAGE_FILES = files("p4dgs_ref")
 # A room imports itself and the rooms before it. The first row is the ground floor.
 ORDER = (
-    *("version", "signals", "arithmetic", "limits", "random_inputs"),
-    *("equations", "splatting", "attributes", "table", "effects", "model", "output", "scenes"),
+    *("version", "signals", "arithmetic", "limits"),
+    *("equations", "splatting", "attributes", "effects", "model", "output", "scenes"),
     *("training", "codec", "report", "oracle", "lessons", "lab", "cli", "__main__", "__init__"),
 )
 PACKAGES = {"numpy", "scipy", "imageio", "matplotlib"}

@@ -10,9 +10,9 @@ import p4dgs_ref as p4
 from p4dgs_ref import output
 from p4dgs_ref.output import (
     OutputError,
-    filled,
     locked,
     new_file,
+    staged_folder,
     write_atomically,
 )
 
@@ -40,7 +40,7 @@ def write_file(path):
 
 
 def write_folder(path):
-    with filled(path.parent) as staging:
+    with staged_folder(path.parent) as staging:
         (staging / "a first file").write_bytes(b"new")
         (staging / path.name).write_bytes(b"new")
 
@@ -121,38 +121,19 @@ def refuse_locks(*arguments):
     raise OSError(95, "Operation not supported")
 
 
-def hidden(folder, *names):
-    """Hidden folders, all but `new` made long ago."""
-    parts = [folder / f"{output.PART}{name}" for name in names]
-    for part in parts:
-        (part / "deep").mkdir(parents=True)
-        os.utime(part, None if part.name.endswith("new") else (0, 0))
-    return parts
-
-
-@pytest.mark.parametrize("write", [write_file, write_folder])
-def test_hidden_folders_of_killed_processes_are_removed(tmp_path, write):
-    killed, new = hidden(tmp_path, "killed", "new")
-    with output.new_part(tmp_path) as alive:
-        os.utime(alive, (0, 0))
-        write(tmp_path / "x")
-        assert not killed.exists() and alive.exists() and new.exists()
-
-
 LEARNS_NOTHING = pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
 
 
 @LEARNS_NOTHING
 @pytest.mark.parametrize("without", ["fcntl", "locks"])
 def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
-    hidden(tmp_path, "perhaps alive")
     if without == "fcntl":
         monkeypatch.setattr(output, "fcntl", None)
     else:
         monkeypatch.setattr(output.fcntl, "flock", refuse_locks)
     p4.train(SCENE, "smoke", folder=tmp_path, stage_ends=(1, 1, 1, 1))
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == [f"{output.PART}perhaps alive", "checkpoint.npz"]
+    assert names == ["checkpoint.npz"]
 
 
 @LEARNS_NOTHING

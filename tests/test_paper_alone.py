@@ -1,5 +1,6 @@
 """The paper can be read, run and tested with everything else deleted."""
 
+import ast
 import os
 import re
 import shutil
@@ -10,31 +11,56 @@ import sys
 import pytest
 
 from tests import ROOT
-from tests.budget import PACKAGE, imported
+from tests.budget import PACKAGE, files, imported, parse
 
 ROOMS = ("equations", "splatting", "scenes", "training", "codec")
-OTHERS = ("beyond", "oracle", "viewer", "lab")
-MODULES = [
-    *(file for room in ROOMS for file in sorted((PACKAGE / room).rglob("*.py"))),
-    *(PACKAGE / f"{name}.py" for name in ("table", "attributes", "effects", "model", "output")),
-    PACKAGE / "codec" / "picture.txt",
+OTHERS = ("oracle", "viewer")  # and the laboratory but for its random inputs
+FILES = [
+    *(file for room in ROOMS for file in files(f"p4dgs_ref/{room}")),
+    *(PACKAGE / f"{name}.py" for name in ("attributes", "effects", "limits", "model", "output")),
 ]
-KEPT = (  # of the tests, which need neither published vectors nor baselines
+KEPT = (  # of the tests, which need no published vectors
     *("equations", "numerics", "splatting", "scenes", "simulator", "training"),
     *("density", "pipeline_gradient", "file", "container", "entropy_coder", "conformance", "fuzz"),
 )
-OURS = re.compile(
-    r"\bB[123]\b|is_coded|coded design|version 2|p4dgs_ref\.beyond|(import|from) .*\bbeyond\b"
+# What another design once asked for: words, arguments of functions, and fields of classes.
+WORDS = re.compile(
+    r"\bB[123]\b|is_coded|coded design|version 2|another design|another class|on_lattice"
+    r"|\b(beyond|designs) import|import (beyond|designs)"
 )
+HOOKS = {"weight", "R_more", "move", "presets", "form", "Form", "more", "find_first"}
+CHECKED = "container.py"  # its `read_file(check)`; scenes have checks of their own
+
+
+def hooks(file):
+    """The lines of a file whose arguments, fields or classes are another design's."""
+    for node in ast.walk(parse(file)):
+        name = getattr(node, "arg", None) if isinstance(node, ast.arg) else None
+        if isinstance(node, ast.AnnAssign):
+            name = ast.unparse(node.target)
+        elif isinstance(node, ast.ClassDef):
+            name = node.name
+        if name in HOOKS or name == "check" and file.name == CHECKED:
+            yield f"{file.name}:{node.lineno}: {name}"
 
 
 def test_the_rooms_of_the_paper_hold_the_paper():
-    """No word of what is ours stands in them, and no import of it."""
-    words = {}
-    for file in MODULES:
+    """No word, argument, field or class that only makes sense for something that is not in it."""
+    found = [line for file in FILES for line in hooks(file)]
+    for file in FILES:
         lines = file.read_text(encoding="utf-8").splitlines()
-        words |= {f"{file.name}:{i}": line for i, line in enumerate(lines, 1) if OURS.search(line)}
-    assert not words
+        found += [
+            f"{file.name}:{i}: {line}" for i, line in enumerate(lines, 1) if WORDS.search(line)
+        ]
+    assert not found, found
+
+
+@pytest.mark.parametrize(
+    "code", ["def f(R_more): pass", "class A:\n    weight: float = 1.0", "class Form: pass"]
+)
+def test_a_hook_for_another_design_is_found(tmp_path, code):
+    (tmp_path / "new.py").write_text(code, encoding="utf-8")
+    assert len([*hooks(tmp_path / "new.py")]) == 1
 
 
 def in_copy(folder, *command):
@@ -53,15 +79,23 @@ def in_copy(folder, *command):
 
 
 def prune(folder):
-    """Delete the rooms that are not the paper's, and what of the tests cannot be imported then."""
+    """Delete the rooms that are not the paper's, and what of the tests cannot be imported then.
+
+    Random inputs stay, because the cases of equations are made with them.
+    """
+    package = folder / "p4dgs_ref"
+    gone, kept = {f"p4dgs_ref.{room}" for room in OTHERS}, {*(folder / "tests").rglob("*.py")}
+    for file in (package / "lab").iterdir():
+        if file.stem not in ("__init__", "random_inputs"):
+            gone.add(f"p4dgs_ref.lab.{file.stem}")
+            shutil.rmtree(file) if file.is_dir() else file.unlink()
     for room in OTHERS:
-        shutil.rmtree(folder / "p4dgs_ref" / room)
-    gone, files = {f"p4dgs_ref.{room}" for room in OTHERS}, {*(folder / "tests").rglob("*.py")}
+        shutil.rmtree(package / room)
     while True:
-        lost = {file for file in files if needs(imported(file, folder / "tests"), gone)}
+        lost = {file for file in kept if needs(imported(file, folder / "tests"), gone)}
         if not lost:
             return
-        files -= lost
+        kept -= lost
         names = (".".join(file.relative_to(folder).with_suffix("").parts) for file in lost)
         gone |= {name.removesuffix(".__init__") for name in names}
         for file in lost:

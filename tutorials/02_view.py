@@ -296,7 +296,7 @@ print("change of the loss per unit along the ray, which is 0; broken:", claimed.
 # weight that reads a direction is NaN.
 
 # %%
-from p4dgs_ref.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
 
 with np.errstate(invalid="ignore"):
     v = np.array([[0.0, 0, 0], x_a, x_c])

@@ -92,7 +92,7 @@ assert np.array_equal(kept_x, three["x"][0, [0, 2]])
 # child is drawn only where its curve is above the threshold.
 
 # %%
-from p4dgs_ref.random_inputs import random_anchor_network, random_network
+from p4dgs_ref.lab.random_inputs import random_anchor_network, random_network
 
 weights, biases = random_network(rng, 4 + 4, 16, 16, 4)
 weights[0][4:] *= np.array([[0.3], [2], [2], [2]])  # less distance, more direction

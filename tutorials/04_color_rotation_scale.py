@@ -77,7 +77,7 @@ assert close(turns, [[[0.2, 0.4, 0.4, 0.8]]])
 # its axes a child is smaller than the anchor, because a sigmoid is less than one.
 
 # %%
-from p4dgs_ref.random_inputs import random_anchor_network
+from p4dgs_ref.lab.random_inputs import random_anchor_network
 
 A, k = 3, 5
 networks = {

@@ -102,7 +102,7 @@ assert [outputs for _, outputs in layers[-3:]] == [3, 3, 4]
 # copy of $\mathcal{E}(t)$. The three heads become one last layer there.
 
 # %%
-from p4dgs_ref.random_inputs import random_field
+from p4dgs_ref.lab.random_inputs import random_field
 
 t = 0.3
 field = random_field(rng, 2, 1, 6, 5)

@@ -60,7 +60,7 @@ assert close(2 * sigmoid(2 * u), 1 + np.tanh(u))
 
 # %%
 from p4dgs_ref.equations import mlp, rounding, step
-from p4dgs_ref.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 
 

@@ -156,7 +156,7 @@ lessons.show(
 
 # %%
 from p4dgs_ref.equations.numerics import normalise
-from p4dgs_ref.splatting import covariance, projection
+from p4dgs_ref.splatting import covariance, factored, projection
 
 N = 5
 r, _ = normalise(rng.normal(size=(N, 4)))
@@ -405,8 +405,10 @@ assert close(inner(D, dcov), inner(m_bar, dm))
 
 # %% [markdown]
 # **Needles.** For long thin Gaussians $ac - b^2$ and $K D_K K$ cancel; from about $10^7$ pixels on
-# `float64` loses all digits. The renderer therefore passes the rotation $R$ of `13_covariance` and
-# $\Sigma = \mathrm{diag}(s)^2$. With $m = JWR$, its rows $m_1$, $m_2$ and $n = m_1\times m_2$,
+# `float64` loses all digits. Training and rendering therefore run
+# [factored.py](../p4dgs_ref/splatting/factored.py): it starts from $s$ and the rotation $R$ of
+# `13_covariance`, so that $\Sigma = \mathrm{diag}(s)^2$ in the axes of the Gaussian. With
+# $m = JWR$, its rows $m_1$, $m_2$ and $n = m_1\times m_2$,
 # $$\det\Sigma_{2D} = s_2^2s_3^2n_1^2 + s_3^2s_1^2n_2^2 + s_1^2s_2^2n_3^2
 #   + 0.3\,(m_1\Sigma m_1^T + m_2\Sigma m_2^T) + 0.3^2,$$
 # and $Km$, which gives $\bar\Sigma = -(Km)^T D_K\,(Km)$, has the rows
@@ -414,31 +416,15 @@ assert close(inner(D, dcov), inner(m_bar, dm))
 
 # %%
 s = np.tile([0.5, 0.1, 0.3], (N, 1))
-(squares, R), _ = covariance.axes(s, r)
-_, of_axes = projection.forward(
-    x,
-    squares,
-    **camera,
-    R=R,
-)
-in_axes = projection.backward(
-    of_axes,
-    conic_bar=conic_bar,
-)
-_, of_Sigma = projection.forward(
-    x,
-    R @ squares @ R.transpose(0, 2, 1),
-    **camera,
-)
-in_world = projection.backward(
-    of_Sigma,
-    conic_bar=conic_bar,
-)
-assert close(
-    in_axes["x"],
-    in_world["x"],
-    1e-8,
-)
+_, of_factors = factored.forward(x, s, r, **camera)
+Sigma_of_s, saved_Sigma = covariance.forward(s, r)
+_, of_Sigma = projection.forward(x, Sigma_of_s, **camera)
+bars_of_factors = factored.backward(of_factors, np.zeros((N, 2)), conic_bar)
+bars_of_Sigma = projection.backward(of_Sigma, conic_bar=conic_bar)
+bars_of_s = covariance.backward(saved_Sigma, bars_of_Sigma["Sigma"])
+assert close(bars_of_factors["x"], bars_of_Sigma["x"], 1e-8)
+assert close(bars_of_factors["s"], bars_of_s["s"], 1e-8)
+assert close(bars_of_factors["r"], bars_of_s["r"], 1e-8)
 
 # %% [markdown]
 # **From $JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ for the rows of $W$, row $i$ of $m$ is

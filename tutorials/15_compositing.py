@@ -129,7 +129,7 @@ lessons.show(
 # in front of it. Splats are sorted by depth; splats of equal depth keep the order of their index.
 
 # %%
-from p4dgs_ref.random_inputs import random_splats
+from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.splatting import compositing, loop
 
 height, width = 24, 32

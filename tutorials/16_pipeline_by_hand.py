@@ -663,7 +663,8 @@ lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", 
 # `p4dgs-ref oracle check DIR --only frames` compares whole pictures of a trained model, so run it
 # last. The port below decodes the model from its file and renders it with the cameras of the
 # vectors. If frames differ although all single equations agree, a connection between them is wrong:
-# the order of features, distance and direction, the camera's centre, or the depth order.
+# the order of features, distance and direction, the camera's centre, or the depth order. The
+# vectors call the renderer's setting `kernel`, the rule of the published kernel of 3DGS, "paper".
 
 # %%
 trained = decode((oracle.path() / "model.p4dgs").read_bytes())
@@ -672,7 +673,7 @@ trained = decode((oracle.path() / "model.p4dgs").read_bytes())
 def port(W, T, focal, center, size, t, renderer, **of_the_model):
     width, height = (int(n) for n in size)
     seen_by = Camera(W, T, *focal, *center, width, height)
-    settings = SETTINGS[renderer]._replace(dtype="float64")
+    settings = SETTINGS["kernel" if renderer == "paper" else renderer]._replace(dtype="float64")
     return trained.render(seen_by, t, settings)
 
 

@@ -5,9 +5,8 @@
 # choose a setting by it. **Before it:** `10_prior_and_likelihood`, `15_compositing`. **Takes** five
 # seconds on two cores, 25 minutes of reading and 45 of exercises.
 #
-# **Files:** [formulas.py](../p4dgs_ref/lab/accuracy/formulas.py),
-# [forms.py](../p4dgs_ref/lab/accuracy/forms.py),
-# [diagram.py](../p4dgs_ref/lab/accuracy/diagram.py).
+# **Files:** [forms.py](../p4dgs_ref/lab/accuracy/forms.py),
+# [formulas.py](../p4dgs_ref/lab/accuracy/formulas.py), [clock.py](../p4dgs_ref/lab/clock.py).
 
 # %%
 import math
@@ -148,109 +147,138 @@ lessons.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]
 # ## In code
-# `p4dgs-ref accuracy` turns more than twenty knobs of this project. Here are two of them on a
-# small scale. A *form* of a function is a way to compute it; each form is timed, and its result
-# is compared with the truth. The first function is the renderer, which has three settings.
-# `exact`, which is the truth here, evaluates every pair of a Gaussian and a pixel in `float64`.
-# `fast` ends a Gaussian where its opacity falls below a **cut**, which is the parameter of this
-# diagram. `paper` has the constants of the published kernel: a square box of three standard
-# deviations, and no opacity below $1/255$ at any pixel.
+# `p4dgs-ref accuracy` asks five such questions of this project and answers them in a minute. Here
+# are two of them on a small scale. A *form* of a function is a way to compute it; each form is
+# timed, and its result is compared with the truth. The first function is the renderer, which has
+# three settings. `exact`, which is the truth here, evaluates every pair of a Gaussian and a pixel
+# in `float64`. `fast` ends a Gaussian where its opacity falls below a **cut**, which is the
+# parameter of this diagram. `kernel` has the constants of the published kernel: a square box of
+# three standard deviations, and no opacity below $1/255$ at any pixel.
 
 # %%
-from p4dgs_ref.lab.accuracy.harness import measure_forms
+from functools import partial
 
-from p4dgs_ref.lab.accuracy import diagram, forms, formulas
-from p4dgs_ref.splatting.settings import EXACT, FAST, PAPER
+from p4dgs_ref.lab.accuracy import forms, formulas
+from p4dgs_ref.lab.clock import alternate, can_tell
+from p4dgs_ref.splatting import fast
+from p4dgs_ref.splatting.settings import FAST, KERNEL
 
-choices = {}
+settings = {("setting `fast`", ""): FAST, ("setting `kernel`", ""): KERNEL}
 for dtype in ("float32", "float64"):
-    for name in ("1/255", "5e-5", "1e-6"):
-        settings = FAST._replace(cut=forms.CUTS[name], dtype=dtype)
-        choices[f"cut labelled, {dtype}", name] = settings
-for settings in (EXACT, PAPER, FAST):
-    choices[f"setting `{settings.name}`", ""] = settings
+    for cut in ("1/255", "5e-5", "1e-6"):
+        value = 1 / 255 if "/" in cut else float(cut)
+        settings[f"cut labelled, {dtype}", cut] = FAST._replace(cut=value, dtype=dtype)
 scene = forms.splat_scene(300, 48)
-drawn = measure_forms(forms.rendered(choices, scene), 9)
-exact, paper, fast = drawn[-3:]
-for row in (exact, paper, fast):
+truth = forms.exact_image(scene)
+pixels = scene["height"] * scene["width"]
+times = alternate(
+    {key: partial(fast.forward, **scene, settings=s) for key, s in settings.items()}, 5
+)
+drawn = {}
+for key, chosen in settings.items():
+    (image, _), (tiles, *_) = fast.forward(**scene, settings=chosen)
+    gap = image - truth
+    pairs = sum(opacities.size for _, _, opacities, *_ in tiles)
+    drawn[key] = times[key].ms, np.abs(gap).max(), pairs, np.sqrt((gap**2).mean())
     print(
-        f"{row['line']:15s} {row['ms']:6.2f} ms, {row['pairs']:7,} pairs, "
-        f"error of the image {row['error']:.1e}, of the gradients {row['gradient_error']:.1e}"
+        f"{' '.join(key):27s} {times[key].ms:6.2f} ms, {pairs:7,} pairs, error {drawn[key][1]:.1e}"
     )
-assert (exact["error"], exact["pairs"]) == (0, 300 * 48 * 48)
-assert all(fast[measure] < paper[measure] for measure in ("error", "pairs"))
+of_fast, of_kernel = list(drawn.values())[:2]
+assert max(pairs for _, _, pairs, _ in drawn.values()) < 300 * pixels / 2
+assert of_fast[1] < of_kernel[1] and of_fast[2] < of_kernel[2]
 
 # %% [markdown]
-# Measured in pairs, `paper` is dominated: `fast` evaluates fewer pairs and has a smaller error,
+# Measured in pairs, `kernel` is dominated: `fast` evaluates fewer pairs and has a smaller error,
 # because its tiles follow the ellipse instead of a square box. But is `fast` accurate *enough*? A
 # picture with 8 bits per value is rounded by up to half of 1/255, which is 0.00196. The error of
-# `paper` is larger than this, that of `fast` is smaller.
+# `kernel` is larger than this, that of `fast` is smaller.
 
 # %%
 half_step = 0.5 / 255
 assert round(half_step, 5) == 0.00196
-assert fast["error"] < half_step < paper["error"]
+assert of_fast[1] < half_step < of_kernel[1]
 
 # %% [markdown]
-# The second function is Eq. (11), the bits of a symbol, of which the project has six formulas.
+# The second function is Eq. (11), the bits of a symbol, of which the project has five formulas.
 # They are measured on bins of a usual width up to 3 standard deviations from the mean, and on the
-# whole domain of distances and widths for which the project promises its digits. Near the mean,
-# all of them are accurate to better than one percent. In the whole domain the printed formula,
-# called `literal`, is infinite or NaN in a third of the bins.
+# whole domain of distances and widths for which the project promises its digits, on both sides of
+# the mean. Near the mean, all of them are accurate to better than one percent. In the whole domain
+# the formula *as printed* is infinite or NaN in 28.7 % of the bins: in 34.5 % of those above the
+# mean and in 22.9 % of those below.
 #
-# The other five are these. HAC is an earlier codec; its mass never falls below $10^{-6}$.
-# *Tail-symmetric* subtracts on the side where $\Phi$ is small, and *log domain* does the same
-# with $\log\Phi$. *Table* interpolates $\Phi$ between $256$ entries per standard deviation, or as
-# many as the diagram says. `stable` is the formula of this project, which
-# `10_prior_and_likelihood` derives.
+# The other four are these. *HAC's floor*: in this earlier codec the mass never falls below
+# $10^{-6}$. *Mirrored* subtracts on the side where $\Phi$ is small. *Table* interpolates $\Phi$
+# between $256$ entries per standard deviation, or as many as the diagram says. *Ours* is the
+# formula that `10_prior_and_likelihood` derives.
 
 # %%
-choices = {}
-for domain, limits in {"to 3 σ": forms.USUAL, "everywhere": forms.DOMAIN}.items():
-    for name, formula in formulas.FORMULAS.items():
-        choices[domain, name] = formula, limits
-for entries in formulas.TABLES:
-    choices["tables", f"{entries}/σ"] = formulas.lookup_table(entries), forms.USUAL
-rows = measure_forms(forms.priced(choices, quick=True), 3)
-priced = {(row["line"], row["value"]): row for row in rows}
-for (domain, name), row in priced.items():
-    ns = 1e6 * row["ms"] / 2000  # each call computes 2000 bins
-    print(f"{name:18s} {domain:10s}: {ns:5.1f} ns, error of the bits {row['bits_error']:.1e}")
-    assert domain != "to 3 σ" or row["bits_error"] < 0.01
-assert 0.3 < priced["everywhere", "literal"]["failed_share"] < 0.4
-assert priced["everywhere", "stable"]["bits_error"] < 1e-12
+domains = {
+    "to 3 σ": forms.bins(((1e-2, 3), (1e-2, 10)), 2000),
+    "everywhere": forms.bins(n=2000),
+}
+choices = {(d, name): f for d in domains for name, f in formulas.FORMULAS.items()}
+for entries in (16, 64, 256, 1024, 4096):
+    choices["to 3 σ", f"{entries}/σ"] = formulas.lookup_table(entries)
+priced, calls = {}, {}
+for (domain, name), formula in choices.items():
+    z, w = domains[domain]
+    bits_error, slopes_error = formulas.errors(formula, z, w, "float64")
+    priced[domain, name] = bits_error.max(), slopes_error.max()
+    calls[domain, name] = partial(formula, **formulas.inputs(z, w, "float64"))
+with np.errstate(all="ignore"):
+    times_11 = alternate(calls, 3)
+for (domain, name), (error_of_bits, _) in priced.items():
+    ns = 1e6 * times_11[domain, name].ms / 4000  # each call computes 4000 bins
+    print(f"{name:18s} {domain:10s}: {ns:5.1f} ns, error of the bits {error_of_bits:.1e}")
+    assert domain == "everywhere" or name.endswith("/σ") or error_of_bits < 0.01
+assert priced["everywhere", "ours"][0] < 1e-12
+
+z, w = forms.bins()
+failed = {
+    name: ~np.isfinite(formulas.errors(formulas.FORMULAS[name], z, w, "float64")[0])
+    for name in ("as printed", "mirrored")
+}
+shares = [failed["as printed"][where].mean() for where in (z > 0, z < 0, z != 0)]
+assert np.round(100 * np.array(shares), 1).tolist() == [34.5, 22.9, 28.7]
+assert round(100 * failed["mirrored"].mean(), 1) == 22.9
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(15, 6.6), layout="constrained")
-for panel in (left, right):
-    panel.set(xscale="log", yscale="log")
-shown = [row for row in drawn if row is not exact]
-diagram.lines(left, shown, "ms", "error")
-left.axhline(half_step, color="0.4", ls="--")
-edge = 0.98 * left.get_xlim()[1]
-left.text(edge, half_step * 1.15, "half a step of an 8-bit picture", ha="right", fontsize=11)
+
+
+def draw(panel, name, points, **style):
+    """A line through points {label: (time, error)}, with the label beside each."""
+    panel.loglog(*zip(*points.values()), label=name, **style)
+    for label, place in points.items():
+        panel.annotate(label, place, (7, 4), textcoords="offset points", fontsize=12)
+
+
+for i, name in enumerate(dict.fromkeys(name for name, _ in drawn)):
+    points = {label: row[:2] for (of, label), row in drawn.items() if of == name}
+    draw(left, name, points, marker="*osD"[i], markersize=15 if i == 0 else 8)
+left.axhline(half_step, color="0.4", ls="--", label="half a step of an 8-bit picture")
 left.set(
     title="Rendering: down is better, left is faster",
     ylabel="largest error of the picture (of 1)",
-    xlabel="processor time (ms, forward and backward)",
+    xlabel="processor time (ms, forward)",
 )
-near = []
-for (domain, name), row in priced.items():
-    if domain == "tables":
-        near.append({**row, "line": "table, entries labelled"})
-    elif domain == "to 3 σ" and not name.startswith("table"):
-        near.append({**row, "line": name, "value": ""})
-diagram.lines(right, near, "ms", "bits_error")
+near = {
+    name: (times_11[d, name].ms, error) for (d, name), (error, _) in priced.items() if d[0] == "t"
+}
+tables = {name: point for name, point in near.items() if name.endswith("/σ")}
+draw(right, "table, entries labelled", tables, marker="o")
+for name, marker in (("as printed", "s"), ("mirrored", "D"), ("ours", "*")):
+    draw(right, name, {"": near[name]}, marker=marker, markersize=15 if marker == "*" else 8)
 right.set(
     title="Eq. (11) to 3 σ in float64: what the last digits cost",
     ylabel="largest relative error",
-    xlabel="processor time (ms, 2000 values)",
+    xlabel="processor time (ms, 4000 values)",
 )
-right.margins(x=0.2)
 for panel in (left, right):
-    diagram.readable_ticks(panel.xaxis)
-    panel.legend(fontsize=11, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.13))
-diagram.place_labels(figure)
+    panel.margins(0.2)
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter("{x:g}")
+    panel.legend(fontsize=12, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 lessons.show(figure, "23_accuracy_versus_time")
 
 # %% [markdown]
@@ -269,7 +297,6 @@ lessons.show(figure, "23_accuracy_versus_time")
 
 # %%
 from p4dgs_ref.equations import likelihood
-from p4dgs_ref.lab import clock
 
 x = np.linspace(-3, 3, 2000)[None]
 zeros, ones = np.zeros_like(x), np.ones_like(x)
@@ -279,10 +306,9 @@ def call():
     likelihood.forward(x, zeros, ones, 0.1 * ones)
 
 
-twice = clock.alternate({"once": call, "again": call}, 5)
-rows = {name: times.columns() for name, times in twice.items()}
+twice = alternate({"once": call, "again": call}, 5)
 print("median and quartiles in ms:", {n: np.round(t[:3], 3).tolist() for n, t in twice.items()})
-print("they can be told apart:", clock.can_tell(rows["once"], rows["again"]))
+print("they can be told apart:", can_tell(twice["once"], twice["again"]))
 
 # %% [markdown]
 # ## Backward by hand
@@ -311,27 +337,26 @@ for n in (64, 256):
 # error below 1e-6 and hides an error of almost 1e-3 in the gradient.
 
 # %%
-coarse, fine = priced["tables", "64/σ"], priced["tables", "4096/σ"]
-gain_of_bits = coarse["bits_error"] / fine["bits_error"]
-gain_of_gradient = coarse["slopes_error"] / fine["slopes_error"]
+coarse, fine = (np.array(priced["to 3 σ", f"{entries}/σ"]) for entries in (64, 4096))
+gain_of_bits, gain_of_gradient = coarse / fine
 print(f"gain of the bits {gain_of_bits:.0f}, of the gradient {gain_of_gradient:.0f}")
 assert 64**2 / 3 < gain_of_bits < 3 * 64**2
 assert 64 / 3 < gain_of_gradient < 3 * 64
-assert fine["bits_error"] < 1e-6
-assert 0.8e-3 < fine["slopes_error"] < 1e-3
+assert fine[0] < 1e-6
+assert 0.8e-3 < fine[1] < 1e-3
 
 # %% [markdown]
 # ## Break it
 # Take the printed formula in `float64` as the truth; after all, it is the formula of the paper.
 # Now the *better* formula is blamed for the errors of the truth. In bins that are 1e-12 standard
-# deviations wide, `stable` seems to have an error of about 1e-6. Nothing in the diagram looks
+# deviations wide, *ours* seems to have an error of about 1e-6. Nothing in the diagram looks
 # suspicious.
 
 # %%
 z, w = np.zeros((1, 1)), np.full((1, 1), 1e-12)
-stable = likelihood.forward(z, 0 * z, np.ones_like(z), w)[0][0, 0]
+ours = likelihood.forward(z, 0 * z, np.ones_like(z), w)[0][0, 0]
 printed = formulas.literal(z, 0 * z, np.ones_like(z), w)[0][0, 0]
-seeming_error = abs(stable - printed) / abs(printed)
+seeming_error = abs(ours - printed) / abs(printed)
 assert 0.5e-6 < seeming_error < 2e-6
 
 # %% [markdown]
@@ -343,27 +368,27 @@ assert 0.5e-6 < seeming_error < 2e-6
 log_p, *_ = formulas.truth(z[0], w[0])
 truth = -log_p[0] / math.log(2)
 assert max(formulas.check_truth()) < 2e-14
-assert abs(stable - truth) / abs(truth) < 1e-15
+assert abs(ours - truth) / abs(truth) < 1e-15
 assert abs(printed - truth) / abs(truth) > 0.5e-6
 
 # %% [markdown]
 # ## What a codec does with it
 # The lossy parts of a codec may have any error that cannot be seen. Suppose that a model has a
 # PSNR of 33 dB, and that the renderer adds an error of its own. In the worst case the two add up
-# to $(\sqrt{MSE} + rms)^2$. The loss in dB is the real price of `fast` and `paper`.
+# to $(\sqrt{MSE} + rms)^2$. The loss in dB is the real price of `fast` and `kernel`.
 
 # %%
 mse = 10 ** (-33 / 10)
 
 
-def largest_loss(row):
-    """The largest loss of PSNR by the errors of a setting of the renderer."""
-    worst = (math.sqrt(mse) + row["rms_error"]) ** 2
-    return 10 * math.log10(worst / mse)
+def largest_loss(rms):
+    """The largest loss of PSNR by an error of the renderer, a root mean square."""
+    return 10 * math.log10((math.sqrt(mse) + rms) ** 2 / mse)
 
 
-print(f"fast loses at most {largest_loss(fast):.4f} dB, paper {largest_loss(paper):.4f} dB")
-assert largest_loss(fast) < 0.01 < largest_loss(paper)
+loss, loss_of_kernel = largest_loss(of_fast[3]), largest_loss(of_kernel[3])
+print(f"fast loses at most {loss:.4f} dB, kernel {loss_of_kernel:.4f} dB")
+assert loss < 0.01 < loss_of_kernel
 
 # %% [markdown]
 # The entropy coder is the opposite case. Move the mean of a single symbol among 400 by a

@@ -10,7 +10,7 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..output import absent, filled, made, new_file, write_atomically
+from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
 from ..report import figures, splats
 from ..report import inspect as sizes
 from ..report import view as pages
@@ -113,7 +113,7 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        absent(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, [(Trainer(scene, preset), 1)])
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
@@ -122,7 +122,7 @@ def train(arguments):
         )
     for sentence in advice.before(scene, preset, arguments.seed):
         caution(sentence)
-    with made(arguments.output) as folder:
+    with writable_folder(arguments.output) as folder:
         trainer, seconds = timed(
             fit,
             scene,
@@ -132,7 +132,7 @@ def train(arguments):
             resume=resume,
             stream=None if arguments.quiet else sys.stderr,
         )
-        with filled(folder) as staging:
+        with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
     caution(advice.after(trainer))
     tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
@@ -163,7 +163,7 @@ def decode(arguments):
             for i, array in enumerate(layers)
         },
     }
-    with filled(arguments.output, arguments.file) as staging:
+    with staged_folder(arguments.output, arguments.file) as staging:
         np.savez(staging / "model.npz", **arrays)
         (staging / "model.json").write_text(
             json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
@@ -211,7 +211,7 @@ def render(arguments):
         times = np.linspace(0, 1, given.pop("frames", 24))
         camera = figures.held_camera(model, **given)
         views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
-    with new_file(output, *reads, start=b"GIF8") if is_gif else filled(output) as place:
+    with new_file(output, *reads, start=b"GIF8") if is_gif else staged_folder(output) as place:
         images = [
             np.clip(model.render(camera, t, known[arguments.settings]), 0, 1)
             for _, camera, t in views
@@ -265,7 +265,7 @@ def evaluate(arguments):
         "decode_seconds": seconds,
     }
     if arguments.output:
-        with filled(arguments.output, arguments.file) as staging:
+        with staged_folder(arguments.output, arguments.file) as staging:
             figures.write_comparison(staging, scene, rows, images)
     show(
         arguments,
@@ -279,7 +279,7 @@ def inspect(arguments):
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
     if arguments.output:
-        with filled(arguments.output, arguments.file) as staging:
+        with staged_folder(arguments.output, arguments.file) as staging:
             figures.write_csv(staging / "sections.csv", rows)
             figures.draw_ledger(staging / "sections.png", rows)
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))

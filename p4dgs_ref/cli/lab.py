@@ -8,7 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from ..output import filled
+from ..output import staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
 from . import progress, require, say, show, tell, whisper
@@ -35,7 +35,7 @@ def accuracy(arguments):
     from ..lab import accuracy as study
     from ..lab.accuracy import picture, trainings
 
-    with filled(arguments.output) as staging:
+    with staged_folder(arguments.output) as staging:
         trained = trainings.read()
         if arguments.train:
             tasks = trainings.tasks_of_record()
@@ -53,7 +53,7 @@ def hard_cases(arguments):
     """Print the hard cases and draw the map; exit code 1 if a hard case is beyond its bound."""
     from ..lab.stability import draw_map, rows, to_text
 
-    with filled(arguments.output) as staging:
+    with staged_folder(arguments.output) as staging:
         cases = rows(arguments.only)
         draw_map(staging / "stability.png")
     show(arguments, {"cases": cases}, f"{to_text(cases)}\nmap: {arguments.output}/stability.png")
@@ -74,7 +74,7 @@ def effects(arguments):
     folder = arguments.output or "report"
     is_file = Path(arguments.scene).is_file()
     require(not (is_file and arguments.gain), arguments.scene, "expected a scene for --gain")
-    with filled(folder, arguments.scene if is_file else None) as staging:
+    with staged_folder(folder, arguments.scene if is_file else None) as staging:
         if is_file:
             ledger = effect_ledger.of_model(read_file(arguments.scene)[1])
         else:
@@ -126,7 +126,7 @@ def grade(arguments):
     """Judge what students wrote."""
     from ..lab import classroom as room
 
-    with filled(arguments.output) if arguments.output else nullcontext() as staging:
+    with staged_folder(arguments.output) if arguments.output else nullcontext() as staging:
         grades = room.grade(
             *arguments.folders,
             classroom=arguments.classroom,

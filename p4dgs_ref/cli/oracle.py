@@ -9,7 +9,7 @@ from ..oracle.checker import check_port
 from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
 from ..oracle.streams import export
-from ..table import to_markdown
+from ..splatting.table import to_markdown
 from . import progress, require, show, tell
 
 

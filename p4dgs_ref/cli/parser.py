@@ -160,7 +160,7 @@ GROUPS = {
                 option(
                     "--points",
                     metavar="FILE",
-                    help="start from points in scene coordinates: .npy, .ply, points3D.txt or .bin",
+                    help="start from points in scene coordinates, a .npy or .ply",
                 ),
                 output("run folder", required=True),
                 switch("--resume", "go on from the checkpoint in the run folder"),
@@ -217,7 +217,7 @@ GROUPS = {
                     "--settings",
                     default="fast",
                     metavar="NAME",
-                    help="of the renderer: exact, paper or fast (fast)",
+                    help="of the renderer: exact, kernel or fast (fast)",
                 ),
             ),
         ),

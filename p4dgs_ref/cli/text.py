@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, differences
+from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
 def quality(m):
@@ -74,15 +74,18 @@ def presets(shown, every_field):
 
 
 def preset(one, every_field):
-    """The lines of a preset: all fields, or those that differ, with a star."""
+    """The lines of a preset: all fields, or those that differ, with a star.
+
+    The last column says where the values of the paper's presets come from.
+    """
     changed = [field for field, *_ in differences(one)]
     columns = list(dict.fromkeys((one, PAPER_SYNTHETIC, PAPER_REAL)))
-    rows = [["  field", *(p.name for p in columns)]]
+    rows = [["  field", *(p.name for p in columns), "source of the paper presets"]]
     for field in FIELDS:
         if every_field or field in changed:
             values = [setting(getattr(p, field)) for p in columns]
             mark = "* " if field in changed else "  "
-            rows.append([mark + field, *values])
+            rows.append([mark + field, *values, SOURCES[field]])
     widths = [max(map(len, column)) for column in zip(*rows)]
     return [
         f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..limits import MAX_BOX
 from .container import require, require_encodable
 
+MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
 BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
 BOX_BYTES = 24
 

@@ -54,11 +54,11 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 
 import numpy as np
 
-from ..limits import MAX_SYMBOL
 from . import rans
 from .container import require
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
+MAX_SYMBOL = 2**31  # magnitude of a coded number
 MAX_GAMMA = 33
 
 

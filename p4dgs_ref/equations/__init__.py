@@ -13,5 +13,5 @@ The training objective weighs the bits against the error of the image: `total_lo
 `ssim` and `render_loss` (16), `rate_loss` (17).
 
 `mlp` is the network behind every psi. `numerics` has the functions whose textbook form loses
-digits. `p4dgs_ref.table` lists the equations with their formulas.
+digits. `table` lists the equations with their formulas.
 """

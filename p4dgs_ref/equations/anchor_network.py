@@ -32,11 +32,10 @@ def backward(saved, psi_bar):
     saved_mlp, d = saved
     A, k, width = psi_bar.shape
     gradients = mlp.backward(saved_mlp, psi_bar.reshape(A, k * width))
-    x_bar = gradients["x"]
+    x_bar = gradients.pop("x")
     return {
         "f_a": x_bar[:, :d],
         "delta_vc": x_bar[:, d : d + 1],
         "d_vc": x_bar[:, d + 1 :],
-        "weights": gradients["weights"],
-        "biases": gradients["biases"],
+        **gradients,
     }

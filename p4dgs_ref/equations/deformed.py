@@ -3,8 +3,9 @@
     x_t = x + delta_x        s_t = s + delta_s        r_t = (r + delta_r) / |r + delta_r|
 
 P-4DGS, section 3.2 (temporal prediction). The paper prints r + delta_r; the sum is brought back to
-unit length as in `rotation` (Q9); `as_printed` leaves that out. A delta [N, 0] belongs to an effect
-that the scene does not list: its attribute is returned as it is.
+unit length as in `rotation` (Q9), because `covariance` expects unit quaternions: from a sum of
+another length it makes a matrix R that is no rotation. A delta [N, 0] belongs to an effect that the
+scene does not list: its attribute is returned as it is.
 """
 
 from .numerics import normalise, normalise_backward
@@ -22,21 +23,12 @@ def forward(
 
     s_t may be zero or negative: the covariance depends on its square only.
     """
-    (x_t, s_t, r_t), (_, norm, widths) = as_printed(x, s, r, delta_x, delta_s, delta_r)
+    x_t, s_t, r_t = moved(x, delta_x), moved(s, delta_s), moved(r, delta_r)
+    norm = None
     if delta_r.shape[1]:
         r_t, norm = normalise(r_t)
-    return (x_t, s_t, r_t), (r_t, norm, widths)
-
-
-def as_printed(x, s, r, delta_x, delta_s, delta_r):
-    """The same with r_t = r + delta_r, as the paper prints it (Q9).
-
-    `covariance` expects unit quaternions: from a sum of another length it makes a matrix R that is
-    no rotation. `backward` takes what this function saves, too.
-    """
     widths = delta_x.shape[1], delta_s.shape[1], delta_r.shape[1]
-    x_t, s_t, r_t = moved(x, delta_x), moved(s, delta_s), moved(r, delta_r)
-    return (x_t, s_t, r_t), (r_t, None, widths)
+    return (x_t, s_t, r_t), (r_t, norm, widths)
 
 
 def moved(attribute, delta):

@@ -6,17 +6,6 @@ The equations call them by name, so that the file of an equation can show the pa
 import numpy as np
 from scipy.special import expit as sigmoid
 
-__all__ = [
-    "in_precision_of",
-    "length",
-    "normalise",
-    "normalise_backward",
-    "perpendicular",
-    "sigmoid",
-    "sigmoid_slope",
-    "tanh_slope",
-]
-
 EPSILON = 1e-12  # keeps the value and the gradient of a normalised zero quaternion finite
 
 

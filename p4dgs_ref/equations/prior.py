@@ -39,7 +39,7 @@ def backward(saved, mu_bar, sigma_bar):
     psi_p_bar[:, mu_columns] = mu_bar
     psi_p_bar[:, raw_columns] = sigma_bar * sigma * free
     gradients = mlp.backward(saved_mlp, psi_p_bar)
-    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
+    return {"h": gradients.pop("x"), **gradients}
 
 
 def layout(widths):

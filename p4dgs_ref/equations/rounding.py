@@ -25,7 +25,7 @@ def forward(
         ratio = np.rint(np.divide(f, q, dtype=np.float64))
     wrong = np.argwhere(~(np.abs(ratio) <= LIMIT))
     if len(wrong):
-        a, i = (int(j) for j in wrong[0])
+        a, i = wrong[0]
         raise OverflowError(f"f[{a}, {i}] = {f[a, i]} at step {q[a, 0]}: expected |f/q| up to 2^31")
     symbols = ratio.astype(np.int64)
     f_hat = (symbols * q.astype(np.float64)).astype(f.dtype)

@@ -36,4 +36,4 @@ def backward(saved, q_bar):
     """Gradients of h, weights and biases; Q_0 is data."""
     slope, saved_mlp = saved
     gradients = mlp.backward(saved_mlp, q_bar * slope)
-    return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
+    return {"h": gradients.pop("x"), **gradients}

@@ -1,4 +1,4 @@
-"""The laboratory: what measures the paper, compares it and teaches it; see its README.md."""
+"""The laboratory: the three demands (accuracy, hard cases, effects), and the classroom."""
 
 
 class StudyError(ValueError):

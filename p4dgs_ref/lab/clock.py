@@ -89,8 +89,7 @@ def step_at(scene, preset, stage):
     trainer = Trainer(scene, replace(preset, grow_every=10**9))
     trainer.iteration, end = (0, *preset.stage_ends)[stage - 1 : stage + 1]
     second = min(trainer.iteration + 1, end - 1)
-    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
-        trainer.step()
+    trainer.step()
 
     def step():
         trainer.iteration = second

@@ -180,15 +180,10 @@ def add_gains(ledger, rows):
         row |= found[row["effect"]]
 
 
-def is_none(row):
-    """Whether a gain cannot be told from none: it is within twice its standard error."""
-    return abs(row["gain"]) <= row["within"]
-
-
 def said(row):
-    """The gain of a row with twice its standard error, as text."""
+    """The gain of a row, as text; one within twice its standard error cannot be told from none."""
     gain = f"{row['gain']:+.2f} ±{row['within']:.2f}"
-    return f"none ({gain})" if is_none(row) else gain
+    return f"none ({gain})" if abs(row["gain"]) <= row["within"] else gain
 
 
 # --- the ledger as text and as a picture ----------------------------------------------------------
@@ -207,7 +202,7 @@ def to_text(result):
             "effect": row["effect"],
             "yes": "yes" if row["listed"] else "no",
             **{kind: amount(row, kind) for kind in ("work", "bytes")},
-            "gain": said(row) if "gain" in row else "not measured",
+            **({"gain": said(row)} if "gain" in row else {}),
         }
         for row in result["effects"]
     ]

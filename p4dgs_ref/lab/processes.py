@@ -7,12 +7,9 @@ import threading
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 
 from ..arithmetic import keep_pages
 from ..signals import SIGNALS, deferred
-
-UNGUARDED = 70  # exit code of a worker that the script would let start workers
 
 
 def begin():
@@ -44,58 +41,33 @@ def received(result, given):
     return result
 
 
-@contextmanager
-def processes(jobs):
-    """Yield `start(function, *arguments)`, which calls a function in one of `jobs` processes.
+def in_processes(function, tasks, jobs):
+    """Yield function(task) for every task of a list, in their order, from `jobs` processes.
 
-    `start` returns at once; what it returns waits for the result when it is called. The processes
-    end with this context, also where it is left early. Raises ChildProcessError where one of them
-    ends before its work is done.
+    With one job everything runs in this process. A task and its result must be picklable. The
+    processes end with this generator, also where it is stopped early. Raises ChildProcessError
+    where one of them ends before its work is done.
     """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise SystemExit(UNGUARDED)  # a worker that imports the script may start none
-    others, workers = set(multiprocessing.active_children()), set()
-    pool = ProcessPoolExecutor(
-        jobs,
-        multiprocessing.get_context("spawn"),
-        initializer=begin,
-    )
-
-    def start(function, *arguments):
+    jobs = min(jobs, len(tasks))
+    if jobs <= 1:
+        yield from map(function, tasks)
+        return
+    others = set(multiprocessing.active_children())
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, spawn, initializer=begin)
+    try:
         # A process that has not read what it is to do when its parent is interrupted ends with a
         # traceback.
         with deferred():
-            future = pool.submit(recorded, function, *arguments)
-            workers.update(multiprocessing.active_children())
-        return lambda: received(*future.result())
-
-    try:
-        yield start
+            futures = [pool.submit(recorded, function, task) for task in tasks]
+        for future in futures:
+            yield received(*future.result())
     except BrokenProcessPool:
-        pool.shutdown()  # the exit codes of all are known then
-        is_unguarded = UNGUARDED in {process.exitcode for process in workers - others}
         raise ChildProcessError(
-            "a worker process ran the script, which starts workers itself; expected its calls "
-            'below `if __name__ == "__main__":`, or jobs=1'
-            if is_unguarded
-            else "a worker process was killed, probably because memory ran out; --jobs 1 (jobs=1) "
-            "needs the least"
+            "a worker process ended before its work was done: memory ran out, or a script starts "
+            'workers outside of `if __name__ == "__main__":`'
         ) from None
     finally:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
         pool.shutdown(cancel_futures=True)
-
-
-def in_processes(function, tasks, jobs):
-    """Yield function(task) for every task of a list, in their order, from `jobs` processes.
-
-    With one job everything runs in this process. A task and its result must be picklable. The
-    processes end with this generator, also where it is stopped early.
-    """
-    if min(jobs, len(tasks)) <= 1:
-        yield from map(function, tasks)
-    else:
-        with processes(min(jobs, len(tasks))) as start:
-            for result in [start(function, task) for task in tasks]:
-                yield result()

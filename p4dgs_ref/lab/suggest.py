@@ -154,17 +154,13 @@ def scores(scene, first, seconds, effects, fold, iterations):
         return Trainer(replace(scene, train=kept, effects=tuple(effects)), short(iterations), fold)
 
     trainer, results = trainer_of(first), []
-    with np.errstate(all="ignore"):
-        while trainer.iteration < iterations // 2:
-            trainer.step()
-        arrays, values = trainer.state()
-        for views in seconds:
-            other = trainer_of(views)
-            other.restore({name: np.copy(a) for name, a in arrays.items()}, values)
-            model, judged = other.run(), [views[i] for i in held_out]
-            results.append(
-                np.array([psnr(model.render(v.camera, v.time), v.image) for v in judged])
-            )
+    while trainer.iteration < iterations // 2:
+        trainer.step()
+    for views in seconds:
+        other = trainer_of(views)
+        other.restore(*trainer.state())
+        model, judged = other.run(), [views[i] for i in held_out]
+        results.append(np.array([psnr(model.render(v.camera, v.time), v.image) for v in judged]))
     return results
 
 

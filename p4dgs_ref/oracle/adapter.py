@@ -49,6 +49,7 @@ from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
+MAX_LINE_BYTES = 2**26  # of an answer
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3
@@ -155,7 +156,7 @@ class Adapter(contextlib.AbstractContextManager):
                 self.says = self._exchange(
                     {"p4dgs_oracle": VERSION, "dtype": self.dtype.name}, "p4dgs_oracle"
                 )
-                self.asked = ROLES if self.says.get("gradients", True) else ROLES[:1]
+                self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
                 require(
                     isinstance(listed, list) and all(name in known for name in listed),

@@ -7,7 +7,8 @@ A few cases ask for more than the paper's formulas give as they are printed and 
 the textbook: tanh has the slope 1 - tanh(y)**2, which cancels where tanh is close to 1, and the
 square of a long vector overflows. A port on stock automatic differentiation has the right formula
 and misses these cases. So does a right port in float32 alone where this project computes in float64
-inside. `tests/golden/printed.py` measures by how much, and the file PRINTED holds:
+inside. By how much was measured on the printed formulas with every intermediate result rounded, and
+the file PRINTED holds:
 
     <precision>/<subject>/<case>/scale.out.x    the scale S of the printed formula
     <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: there

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 
-from .. import __version__
+from ..version import __version__
 from .published import read_manifest, subjects
 
 MAX_LISTED = 8  # failing cases of a subject, wrong tensors of a case

@@ -20,7 +20,7 @@ from ..codec.container import BitstreamError, read_container
 from ..codec.context import hash_feature
 from ..codec.file import NETWORK_SECTIONS, quantised_of
 from ..codec.plain import network_numbers
-from ..output import OutputError, filled
+from ..output import OutputError, staged_folder
 from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
@@ -153,7 +153,7 @@ def export(folder):
         raise OutputError(
             f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
         )
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         for file in filter(Path.is_file, FOLDER.iterdir()):
             shutil.copyfile(file, staging / file.name)
         write_streams(staging)

@@ -8,7 +8,7 @@ from typing import Any, TextIO
 
 from ..arithmetic import arithmetic
 from ..codec.file import decode, encode
-from ..output import absent, filled
+from ..output import refuse_existing, staged_folder
 from ..scenes.scene import Scene
 from ..training import advice
 from ..training.fit import fit
@@ -35,10 +35,10 @@ def main_job(
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
-            absent(Path(folder) / file)
+            refuse_existing(Path(folder) / file)
         for sentence in advice.before(scene, preset, seed):
             warnings.warn(sentence, stacklevel=2)
         trainer, seconds = timed(fit, scene, preset, seed, stream=stream)

@@ -20,8 +20,8 @@ import numpy as np
 from scipy.special import logit
 
 from ..model import Gaussians
+from ..output import write_atomically
 from ..scenes.fields import require
-from ..scenes.files import write_ply
 
 C_0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the spherical harmonic of degree 0
 CLOSEST = 2.0**-24  # of alpha to 0 and 1
@@ -49,4 +49,13 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, comments: Iterable[s
         rows = np.concatenate(columns, axis=1).astype("<f4")
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=1))
     require(not bad, path, f"{bad} Gaussians are NaN or beyond float32; expected finite numbers")
-    write_ply(path, PROPERTIES, rows, (ascii(text)[1:-1] for text in comments))
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {ascii(text)[1:-1]}" for text in comments),
+        f"element vertex {len(rows)}",
+        *(f"property float {name}" for name in PROPERTIES),
+        "end_header\n",
+    ]
+    header = "\n".join(lines).encode("ascii")
+    write_atomically(Path(path), lambda file: file.write(header + rows.tobytes()))

@@ -1,4 +1,4 @@
-"""Reads scenes in the layout of D-NeRF: transforms_{train,val,test}.json beside PNG files.
+"""Reads scenes in the layout of D-NeRF: transforms_{train,test}.json beside PNG files.
 
 The files count pixels from the corner of the image, and their cameras look along -z with y up, as
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
@@ -11,19 +11,17 @@ way is refused unless it is 0, false or empty (`off`). HARMLESS names the fields
 another program how to train. Any other field is named in a warning.
 
 Focal lengths and the principal point are pixels of an image of w x h. Where the pictures have
-another size, they are scaled. All views of a file have one lens; frames may repeat its fields.
+another size, they are scaled. All views of a file have one lens.
 """
 
 import math
-import os
 import warnings
 from functools import partial
 
 import numpy as np
 
-from ..limits import MAX_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, choice, fields, list_of, numbers, require, shown, text
+from .fields import MAX_LENS, REQUIRED, choice, fields, list_of, numbers, require, shown, text
 from .files import read_image, read_json, shrink
 from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
 
@@ -63,7 +61,7 @@ LENS = {
     **optional("fl_x fl_y", FOCAL),  # pixels of an image of w x h
     **optional("cx cy", PRINCIPAL),
     **optional("w h", numbers, low=1, high=MAX_LENS),
-    **optional("camera_model", choice, table=dict(zip(PINHOLES, PINHOLES))),
+    **optional("camera_model", choice, words=PINHOLES),
     **optional(
         "k1 k2 k3 k4 k5 k6 p1 p2 distortion distortion_params skew is_fisheye fisheye_crop_radius "
         "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
@@ -81,7 +79,7 @@ FRAME = {
     "file_path": (text, REQUIRED),
     "time": (SHARE, REQUIRED),
     "transform_matrix": (world_to_camera, REQUIRED),
-    **LENS,
+    **optional(" ".join(LENS), off, expected="one lens of all views, beside `frames`"),
     **optional(
         "transform_matrix_start transform_matrix_end",
         off,
@@ -114,12 +112,10 @@ HARMLESS = (
 
 
 def read(folder, color, downscale):
-    """The views of every split, {"train": ..., "test": ...}; the split `val` may be absent."""
+    """The views of both splits, {"train": ..., "test": ...}; a split `val` is not read."""
     return {
-        split: read_split(folder, file, color, downscale)
-        for split in ("train", "test", "val")
-        for file in [folder / f"transforms_{split}.json"]
-        if split != "val" or os.path.lexists(file)
+        split: read_split(folder, folder / f"transforms_{split}.json", color, downscale)
+        for split in ("train", "test")
     }
 
 
@@ -140,19 +136,10 @@ def read_split(folder, file, color, downscale):
 
 
 def read_transforms(file):
-    """The fields of a transforms file, with those of the lens that only its frames have."""
+    """The checked fields of a transforms file."""
     content = read_json(file)
     values = fields(content, file, TRANSFORMS, others=True)
     require(values.frames, f"{file}: frames", "empty; expected at least one view")
-    for i, frame in enumerate(values.frames):
-        for name in sorted(LENS.keys() & content["frames"][i].keys()):
-            value, first = getattr(frame, name), getattr(values, name)
-            require(
-                first in (None, value),
-                f"{file}: frames[{i}].{name}",
-                f"{value}; expected {first}, because all views have one lens",
-            )
-            setattr(values, name, value)
     require(
         values.camera_angle_x or values.fl_x,
         f"{file}: camera_angle_x",

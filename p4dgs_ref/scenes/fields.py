@@ -7,6 +7,7 @@ field of an object, {name: (check, default)}; the default is not checked.
 
 from collections.abc import Collection
 from contextlib import suppress
+from numbers import Integral, Real
 from reprlib import repr as shown
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +16,10 @@ import numpy as np
 
 from ..limits import cut
 
+MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
+MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
 REQUIRED = object()  # the default of a field that must be there
-KINDS = {int: (int, np.integer), float: (int, np.integer, float, np.floating)}
+KINDS = {int: Integral, float: Real}
 
 
 class SceneError(ValueError):
@@ -71,14 +74,14 @@ def text(value, where):
     return value
 
 
-def choice(value, where, table):
-    """The entry of a table that a word stands for."""
+def choice(value, where, words):
+    """One of some words."""
     require(
-        isinstance(value, str) and value in table,
+        isinstance(value, str) and value in words,
         where,
-        f"{shown(value)}; expected one of {', '.join(table)}",
+        f"{shown(value)}; expected one of {', '.join(words)}",
     )
-    return table[value]
+    return value
 
 
 def list_of(value, where, check):
@@ -109,5 +112,5 @@ def fields(value, where, table, others=False):
 
 def one_of(value, where, tables):
     """An object whose field `kind` chooses the table of its other fields."""
-    table = choice(typed(value, where, dict).get("kind"), f"{where}.kind", tables)
-    return fields(value, where, {"kind": (text, REQUIRED), **table})
+    kind = choice(typed(value, where, dict).get("kind"), f"{where}.kind", tables)
+    return fields(value, where, {"kind": (text, REQUIRED), **tables[kind]})

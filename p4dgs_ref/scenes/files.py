@@ -1,20 +1,14 @@
 """Reads the files of which scenes consist: JSON objects, pictures and point clouds.
 
-The first anchors of a real scene stand at the points of
-
-.npy    an array of shape [A, 3]
-.ply    x, y and z of the element `vertex`, binary, as COLMAP and 3DGS write them
-.txt    COLMAP's points3D.txt: lines of POINT3D_ID X Y Z R G B ERROR TRACK[]
-.bin    COLMAP's points3D.bin: the number of points as uint64, then for each point uint64
-        POINT3D_ID, double X Y Z, uint8 R G B, double ERROR, uint64 entries of its TRACK, and
-        8 bytes for each of these; little endian
+The first anchors of a real scene stand at the points of a .npy, an array of shape [A, 3], or of a
+binary .ply, x, y and z of its element `vertex`, as 3DGS writes it, and COLMAP with
+`model_converter --output_type PLY`.
 """
 
 import json
 import math
 import os
 import re
-import struct
 import warnings
 from contextlib import contextmanager
 from functools import partial
@@ -23,31 +17,20 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from ..limits import (
-    MAX_ANCHORS,
-    MAX_COORDINATE,
-    MAX_FILE_BYTES,
-    MAX_HEADER_BYTES,
-    MAX_JSON_BYTES,
-    MAX_PICTURE,
-)
-from ..output import write_atomically
-from .fields import SceneError, require
+from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
+from .fields import MAX_COORDINATE, SceneError, require
 from .scene import as_float, over_background, size_of
 
+MAX_JSON_BYTES = 2**27  # a view takes about 500
+MAX_PICTURE = 2**27  # pixels times channels of a picture
 FOLDERS = (
     "a D-NeRF folder with transforms_train.json and transforms_test.json, "
     "or a HyperNeRF or NeRF-DS folder with dataset.json"
 )
-PLY_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
-}
+# The types of a PLY file that NumPy knows by another name, or that have another size there.
+PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
-COLMAP_POINT = struct.Struct("<Q3d3BdQ")
-BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def read_json(file, expected=FOLDERS):
@@ -140,7 +123,7 @@ def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
     path = Path(path)
     require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
-    with reading(path, "points in a .npy, a binary .ply or COLMAP's points3D.txt or .bin"):
+    with reading(path, "points in a .npy or a binary .ply"):
         points = READERS[path.suffix](path)
         require(
             points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
@@ -155,31 +138,10 @@ def read_points(path: str | Path) -> np.ndarray:
     return points.astype(float)
 
 
-def write_ply(path, properties, rows, comments=(), rest=b""):
-    """Write float32 rows [N, P] as the vertices of a binary file, and further bytes after them.
-
-    Returns the bytes of the header, of the vertices and of the rest. A comment is one line of
-    ASCII. The rest is not an element of the file, because viewers take each line `property` of a
-    header for a property of the vertices.
-    """
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *(f"comment {text}" for text in comments),
-        f"element vertex {len(rows)}",
-        *(f"property float {of_vertex}" for of_vertex in properties),
-        "end_header\n",
-    ]
-    parts = "\n".join(lines).encode("ascii"), rows.astype("<f4").tobytes(), rest
-    write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
-    return [len(part) for part in parts]
-
-
 def read_ply(path):
-    """The vertices of a binary file, its comments, and the bytes that follow the vertices.
+    """The vertices of a binary file: a structured array [N], whose fields are their properties.
 
-    Vertices are the first element, as COLMAP and 3DGS write them. They are a structured array [N],
-    whose fields are their properties.
+    Vertices are the first element, as COLMAP and 3DGS write them.
     """
     data = Path(path).read_bytes()
     end = re.search(rb"\r?\nend_header\r?\n", data[:MAX_HEADER_BYTES])
@@ -188,55 +150,28 @@ def read_ply(path):
         path,
         f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
     )
-    head, body = data[: end.start()], data[end.end() :]
-    start, *elements = head.decode("ascii").split("\nelement ")
+    head = data[: end.start()].decode("ascii")
+    start, *elements = head.split("\nelement ")
     require(
         elements and elements[0].startswith("vertex "),
         path,
         "expected 'vertex' as the first element",
     )
     (_, count), *lines = (line.split() for line in elements[0].splitlines())
-    order = BYTE_ORDERS[start.split("\nformat ")[1].split()[0]]
-    kind = [(line[-1], order + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
-    vertices = np.frombuffer(body, kind, int(count))
-    comments = [line[8:] for line in head.decode("ascii").splitlines() if line[:8] == "comment "]
-    return vertices, comments, body[vertices.nbytes :]
+    require("\nformat binary_little_endian " in start, path, "expected a little-endian binary .ply")
+    columns = [
+        (line[-1], PLY_TYPES.get(line[1], line[1])) for line in lines if line[0] == "property"
+    ]
+    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), end.end())
 
 
 def read_vertices(path):
     """The coordinates [A, 3] of the vertices of a PLY file."""
-    vertices, *_ = read_ply(path)
+    vertices = read_ply(path)
     return np.stack([vertices[axis] for axis in "xyz"], axis=1)
-
-
-def read_points3d_text(path):
-    """The coordinates [A, 3] in COLMAP's points3D.txt."""
-    rows = np.loadtxt(path, usecols=range(8), ndmin=2, encoding="utf-8-sig")
-    counted, colors = rows[:, [0, 4, 5, 6]], rows[:, 4:7]
-    require(
-        np.all(counted % 1 == 0) and np.all(counted >= 0) and np.all(colors <= 255),
-        path,
-        "expected lines of POINT3D_ID X Y Z R G B ERROR TRACK[], as COLMAP writes them",
-    )
-    return rows[:, 1:4]
-
-
-def read_points3d(path):
-    """The coordinates [A, 3] in COLMAP's points3D.bin."""
-    data, at, points = path.read_bytes(), 8, []
-    count = int.from_bytes(data[:8], "little")
-    require(count <= MAX_ANCHORS, path, f"{count} points; expected 1 to {MAX_ANCHORS} points")
-    for _ in range(count):
-        _, *point, _, _, _, _, entries = COLMAP_POINT.unpack_from(data, at)
-        points.append(point)
-        at += COLMAP_POINT.size + 8 * entries
-    require(at == len(data), path, f"expected to end with its last point, at byte {at}")
-    return np.array(points)
 
 
 READERS = {
     ".npy": partial(np.lib.format.open_memmap, mode="r"),  # an array; its size is known at once
     ".ply": read_vertices,
-    ".bin": read_points3d,
-    ".txt": read_points3d_text,
 }

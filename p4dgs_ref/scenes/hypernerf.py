@@ -24,9 +24,8 @@ from functools import partial
 
 import numpy as np
 
-from ..limits import MAX_COORDINATE, MAX_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, fields, list_of, numbers, require, text
+from .fields import MAX_COORDINATE, MAX_LENS, REQUIRED, fields, list_of, numbers, require, text
 from .files import read_image, read_json, read_points, shrink
 from .scene import FOCAL, PRINCIPAL, View, rotation, size_of
 

@@ -7,10 +7,9 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ..limits import MAX_LENS
 from ..output import write_atomically
 from . import dnerf, hypernerf
-from .fields import numbers, require
+from .fields import MAX_LENS, numbers, require
 from .files import read_json, read_points
 from .scene import MODEL_EFFECTS, Scene, background_color, model_effects
 

@@ -11,9 +11,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..limits import MAX_COORDINATE, MAX_LENS, MIN_LENS
 from ..splatting.camera import Camera
-from .fields import REQUIRED, choice, fields, list_of, numbers, printable, require
+from .fields import (
+    MAX_COORDINATE,
+    MAX_LENS,
+    MIN_LENS,
+    REQUIRED,
+    choice,
+    fields,
+    list_of,
+    numbers,
+    printable,
+    require,
+)
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
 MODEL_EFFECTS = (
@@ -75,7 +85,7 @@ class View:
 class Scene:
     """Views to train on and views to evaluate on, all of one size.
 
-    A scene needs at least one training view; `test` and `val` may be empty. `effects` may be any
+    A scene needs at least one training view; `test` may be empty. `effects` may be any
     list of names; the scene keeps those of MODEL_EFFECTS, in that order. Without the effect
     `background` the background is black. Raises SceneError, which names what cannot be used.
     """
@@ -83,7 +93,6 @@ class Scene:
     name: str
     train: tuple[View, ...]
     test: tuple[View, ...] = ()
-    val: tuple[View, ...] = ()
     effects: tuple[str, ...] = MODEL_EFFECTS
     background: np.ndarray = field(default_factory=lambda: np.ones(3))  # [3], made float32
     source: Path | None = None  # the folder it was read from
@@ -96,14 +105,13 @@ class Scene:
             "name": printable(self.name),
             "train": tuple(self.train),
             "test": tuple(self.test),
-            "val": tuple(self.val),
             "effects": effects,
             "background": background_color(self.background, effects, where),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # the class is frozen for its users
         require(self.train, f"{where}: train", "no views; expected at least one")
-        for view in self.train + self.test + self.val:
+        for view in self.train + self.test:
             check_view(view, self.train[0], f"{where}: {view.name}")
 
     @classmethod
@@ -161,7 +169,7 @@ def check_effects(names, where):
     listed = list_of(
         MODEL_EFFECTS if names is None else names,
         where,
-        partial(choice, table={name: name for name in SIMULATOR_EFFECTS}),
+        partial(choice, words=SIMULATOR_EFFECTS),
     )
     return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
 

@@ -4,8 +4,9 @@ Read `loop` first: it renders one Gaussian after the other, forward and backward
 which one would explain it. It starts from 2D splats; these come from `covariance` (scale and
 quaternion to a 3 x 3 matrix), `camera` and `projection` (3D Gaussian to 2D splat).
 
-The same image is computed twice more. `compositing` is the definition: every Gaussian at every
-pixel, nothing skipped, as one row of the table of equations. `tiles` and `fast` are what training
-uses: lists of Gaussians for each tile of the image. `render` chains everything, and `settings`
-holds the constants and says what may be left out.
+`covariance`, `projection` and `compositing` are the definitions, and rows of the table of equations
+(`table`). Training and rendering run twins of them, which tests compare: `factored` for the first
+two, because needles keep their digits in it, and `tiles` and `fast`, lists of Gaussians for each
+tile of the image, for the third, which evaluates every Gaussian at every pixel. `render` chains
+them, and `settings` holds the constants and says what may be left out.
 """

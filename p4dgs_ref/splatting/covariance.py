@@ -3,8 +3,8 @@
     Sigma = R(r) diag(s)**2 R(r)^T
 
 Kerbl et al. 2023 (3DGS), Eq. (6); P-4DGS uses it without a number. Computed as M M^T with
-M = R diag(s). The renderer leaves Sigma in the frame R, as `axes`: of a needle's Sigma the thin
-axis is lost where its scale is below 1e-8 of the long one.
+M = R diag(s). Training and rendering run `factored`, which takes R(r) from here and does not form
+Sigma: of a needle's Sigma the thin axis is lost where its scale is below 1e-8 of the long one.
 """
 
 import numpy as np
@@ -27,17 +27,6 @@ def backward(saved, Sigma_bar):
     s_bar = np.einsum("nij,nij->nj", M_bar, R)
     R_bar = M_bar * s[:, None, :]
     return {"s": s_bar, "r": rotation_backward(r, R_bar)}
-
-
-def axes(s, r):
-    """Return diag(s)^2 and R(r), [N, 3, 3] each, and what `axes_backward` needs."""
-    return (s[:, :, None] ** 2 * np.eye(3), rotation_matrix(r)), (s, r)
-
-
-def axes_backward(saved, Sigma_bar, R_bar):
-    """Gradients of s and r from those of `axes`."""
-    s, r = saved
-    return {"s": 2 * s * np.einsum("nii->ni", Sigma_bar), "r": rotation_backward(r, R_bar)}
 
 
 def rotation_matrix(r):

@@ -1,8 +1,8 @@
-"""From 3D Gaussians to an image and back: covariance, projection and compositing in a row."""
+"""From 3D Gaussians to an image and back: covariance and projection, then compositing."""
 
 import numpy as np
 
-from . import compositing, covariance, fast, projection
+from . import compositing, factored, fast
 
 
 def forward(
@@ -19,39 +19,44 @@ def forward(
 ):
     """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
 
-    Projection is computed in float64 and in the frame of each Gaussian's axes, where Sigma is
-    diag(s)^2, so that needles of any length keep their digits; compositing in `settings.dtype`.
-    Raises ValueError for an opacity that is negative or NaN: lists of tiles would leave it out, the
-    exact twin would not.
+    Projection is computed in float64 by `factored`, compositing in `settings.dtype`. Raises
+    ValueError for an opacity that is negative or NaN: lists of tiles would leave it out, the exact
+    twin would not.
     """
-    (Sigma, R), saved_axes = covariance.axes(s.astype(float), r.astype(float))
-    out, saved = from_covariances(
-        x, Sigma, alpha, color, camera, background, settings, occlusion, keep, R
-    )
-    return out, (saved_axes, *saved)
+    splats, saved_projection = project(x, s, r, camera, settings)
+    out, saved = composite(splats, alpha, color, camera, background, settings, occlusion, keep)
+    return out, (saved_projection, saved)
 
 
 def backward(saved, image_bar):
     """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
-    saved_axes, *saved = saved
-    bars = from_covariances_backward(saved, image_bar)
-    return {**covariance.axes_backward(saved_axes, bars.pop("Sigma"), bars.pop("R")), **bars}
+    saved_projection, (compositor, saved_splats) = saved
+    bars = compositor.backward(saved_splats, image_bar)
+    return {**factored.backward(saved_projection, bars["mean2d"], bars.pop("conic")), **bars}
 
 
-def from_covariances(
-    x,  # [N, 3]
-    Sigma,  # [N, 3, 3]  covariances, symmetric (square scene units)
-    alpha,  # [N]
-    color,  # [N, 3]
-    camera,
-    background,  # [3]
-    settings,
-    occlusion=True,
-    keep=True,
-    R=None,  # [N, 3, 3]  with a diagonal Sigma: the covariances are R Sigma R^T
-):
-    """What `forward` returns, for Gaussians with any covariances."""
-    splats, saved_projection = project(x, Sigma, camera, settings, R)
+def project(x, s, r, camera, settings):
+    """The splats of a camera, in float64, and what `factored.backward` needs."""
+    x, s, r = (a.astype(float) for a in (x, s, r))
+    return factored.forward(x, s, r, **pinhole(camera, settings))
+
+
+def pinhole(camera, settings) -> dict:
+    """A camera and the constants of projection, as arguments of `projection`."""
+    return dict(
+        W=camera.R,
+        T=camera.T,
+        focal=np.array([camera.f_x, camera.f_y]),
+        center=np.array([camera.c_x, camera.c_y]),
+        size=np.array([camera.width, camera.height]),
+        near=settings.near,
+        blur=settings.blur,
+        tan_clamp=settings.tan_clamp,
+    )
+
+
+def composite(splats, alpha, color, camera, background, settings, occlusion=True, keep=True):
+    """What `forward` returns, from splats in float64; saves the compositor and what it saved."""
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
     bad = np.flatnonzero(~(alpha >= 0))
@@ -64,30 +69,4 @@ def from_covariances(
     else:
         compositor = fast
         out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion, keep)
-    return (*out, visible), (saved_projection, compositor, saved)
-
-
-def from_covariances_backward(saved, image_bar):
-    """Gradients of x, Sigma, R if there was one, alpha, color, background, and of mean2d."""
-    saved_projection, compositor, saved_compositing = saved
-    splats = compositor.backward(saved_compositing, image_bar)
-    mean2d_bar, conic_bar = splats["mean2d"], splats.pop("conic")
-    places = projection.backward(saved_projection, mean2d_bar=mean2d_bar, conic_bar=conic_bar)
-    return {**places, **splats}
-
-
-def project(x, Sigma, camera, settings, R=None):
-    """Return the output of `projection` for a camera, and what it saved."""
-    return projection.forward(
-        x.astype(float),
-        Sigma.astype(float, copy=False),
-        camera.R,
-        camera.T,
-        np.array([camera.f_x, camera.f_y]),
-        np.array([camera.c_x, camera.c_y]),
-        np.array([camera.width, camera.height]),
-        settings.near,
-        settings.blur,
-        settings.tan_clamp,
-        R,
-    )
+    return (*out, visible), (compositor, saved)

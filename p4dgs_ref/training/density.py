@@ -89,8 +89,13 @@ def grow(p, statistics, preset, rng):
             x_a = np.concatenate([x_a, np.array(voxels, x.dtype) * size])
             f_a = np.concatenate([f_a, [largest[voxel] for voxel in voxels]])
             log_size = np.concatenate([log_size, np.full((len(voxels), 3), np.log(size))])
-    O_a = np.zeros((len(x_a), *p["O_a"].shape[1:]))
-    return {"x_a": x_a, "f_a": f_a, "log_s": log_size, "log_l": log_size, "O_a": O_a}
+    return {
+        "x_a": x_a,
+        "f_a": f_a,
+        "log_s": log_size,
+        "log_l": log_size,
+        "O_a": np.zeros((len(x_a), *p["O_a"].shape[1:])),
+    }
 
 
 def often_seen(statistics, preset):

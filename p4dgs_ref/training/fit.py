@@ -13,9 +13,8 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..limits import MAX_CHECKPOINT_BYTES
 from ..model import Design, Model
-from ..output import absent, destination, locked, write_atomically
+from ..output import destination, locked, refuse_existing, write_atomically
 from ..scenes.scene import Scene
 from ..signals import deferred
 from ..splatting.settings import FAST, Settings
@@ -27,6 +26,7 @@ from .trainer import Trainer, assemble, tagged
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 CHECKPOINT = "checkpoint.npz"
+MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 HOW_TO_RESUME = "--resume (resume=True) goes on from it, another folder starts anew"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
 RELEASE = f"checkpoint 5, fields {FIELDS}".encode()
@@ -113,7 +113,7 @@ def checkpoints(trainer, folder, resume):
         if resume:
             restore_checkpoint(trainer, folder, common)
         else:
-            absent(Path(folder) / CHECKPOINT, HOW_TO_RESUME)
+            refuse_existing(Path(folder) / CHECKPOINT, HOW_TO_RESUME)
         yield lambda: save_checkpoint(trainer, folder, common)
 
 

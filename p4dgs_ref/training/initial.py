@@ -68,7 +68,7 @@ def initial_parameters(preset, design, rng, points=None):
         "O_a": np.zeros((A, design.k, 3)),
     }
     for name, shapes in design.layers().items():
-        arrays.update(random_layers(rng, name, shapes))
+        arrays |= random_layers(rng, name, shapes)
     arrays[f"psi_alpha.b{len(design.hidden)}"] += preset.opacity_bias
     if preset.upright:
         arrays[f"psi_r.b{len(design.hidden)}"] += np.tile([1.0, 0, 0, 0], design.k)

@@ -15,11 +15,11 @@ class Parameters:
     """
 
     def __init__(self, arrays, dtype=np.float32):
-        self.vector = np.concatenate([np.ravel(a) for a in arrays.values()]).astype(dtype)
+        self.vector = np.concatenate([a.ravel() for a in arrays.values()]).astype(dtype)
         self.arrays, start = {}, 0
         for name, a in arrays.items():
-            end = start + np.size(a)
-            self.arrays[name] = self.vector[start:end].reshape(np.shape(a))
+            end = start + a.size
+            self.arrays[name] = self.vector[start:end].reshape(a.shape)
             start = end
 
     def __getitem__(self, name):
@@ -45,15 +45,15 @@ class Parameters:
             self[f"{name}.W{i}"][...] = W
             self[f"{name}.b{i}"][...] = b
 
-    def per_element(self, value_of):
-        """A vector with `value_of(name)` at every element of each array."""
-        values = np.array([value_of(name) for name in self.arrays], self.vector.dtype)
+    def per_element(self, number_of):
+        """A vector with `number_of(name)` at every element of each array."""
+        values = np.array([number_of(name) for name in self.arrays], self.vector.dtype)
         return np.repeat(values, [array.size for array in self.arrays.values()])
 
     def with_rows(self, names, keep, extra):
         """A copy in which the arrays `names` keep the rows `keep` and end with `extra[name]`."""
         changed = {name: np.concatenate([self[name][keep], extra[name]]) for name in names}
-        return Parameters({**self.arrays, **changed}, self.vector.dtype)
+        return Parameters(self.arrays | changed, self.vector.dtype)
 
 
 def random_layers(rng, name, shapes):

@@ -1,7 +1,7 @@
 """Every constant of training by name: the two presets of the paper and three small ones.
 
-`Preset` is the column of `paper_synthetic`, with the source of every value; below it the others say
-what differs. `p4dgs-ref presets tiny` prints them side by side.
+A preset is a column: `Preset` itself is that of `paper_synthetic`, and the others say what differs.
+`p4dgs-ref presets tiny` prints them side by side.
 """
 
 from dataclasses import dataclass, replace
@@ -14,48 +14,46 @@ from .initial import design_of
 
 @dataclass(frozen=True)
 class Preset:
-    """All fields with their values in `paper_synthetic`, and where these come from.
+    """All fields with their values in `paper_synthetic`; SOURCES says where these come from.
 
-    A Q and a number is a choice in tutorials/reference.md. A file stores the fields that
-    `model.Design` has, too.
+    A file stores the fields that `model.Design` has, too.
     """
 
     name: str = "paper_synthetic"
     # architecture
-    anchors: int = 10_000  # random points at the start: Scaffold-GS (Q28)
-    extent: float = 1.3  # they are in [-extent, extent]^3: Scaffold-GS (Q28)
-    voxel: float = 0.001  # epsilon, points merge on this lattice: paper
-    d: int = 16  # width of a feature: paper
-    k: int = 10  # children of an anchor: paper
-    hidden: tuple = (32, 32)  # hidden widths of anchor networks, two of 2d: paper
-    deformation: tuple = (192, 192)  # of psi_d: paper (Q1)
-    L_x: int = 10  # frequencies of x: D3DGS (Q2)
-    L_t: int = 6  # frequencies of t: D3DGS (Q2)
-    context: tuple = (32, 32)  # hidden widths of psi_p and psi_q, two of 2d: paper
-    # resolutions of the hash grid and of its planes: HAC (Q11)
+    anchors: int = 10_000  # random points at the start,
+    extent: float = 1.3  # in [-extent, extent]^3
+    voxel: float = 0.001  # epsilon: points merge on this lattice
+    d: int = 16  # width of a feature
+    k: int = 10  # children of an anchor
+    hidden: tuple = (32, 32)  # hidden widths of anchor networks: two layers of 2d
+    deformation: tuple = (192, 192)  # hidden widths of psi_d
+    L_x: int = 10  # frequencies of x
+    L_t: int = 6  # frequencies of t
+    context: tuple = (32, 32)  # hidden widths of psi_p and psi_q: two layers of 2d
+    # resolutions of the hash grid, and of it in each plane; the paper gives none
     grid_3d: tuple = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
     grid_2d: tuple = (130, 258, 514, 1026)
-    table_3d: int = 2**13  # most nodes of a 3D level: HAC (Q11)
-    table_2d: int = 2**15  # most nodes of a 2D level: HAC (Q11)
-    F: int = 4  # bits of a node: HAC (Q11)
-    tau_alpha: float = 0.0  # least opacity drawn: Scaffold-GS (Q4)
-    feature_std: float = 0.0  # of the initial features: Scaffold-GS (Q28)
-    opacity_bias: float = 0.0  # added to psi_alpha's last bias: off, as the parents (Q28)
-    upright: bool = False  # psi_r's last bias is (1, 0, 0, 0) at first: off, as the parents (Q28)
-    deformation_gain: float = 1.0  # of psi_d's heads at first: off, as the parents (Q28)
+    table_3d: int = 2**13  # most nodes of a 3D level
+    table_2d: int = 2**15  # most nodes of a 2D level
+    F: int = 4  # bits of a node
+    tau_alpha: float = 0.0  # least opacity drawn
+    feature_std: float = 0.0  # of the initial features
+    opacity_bias: float = 0.0  # added to psi_alpha's last bias
+    upright: bool = False  # whether psi_r's last bias is (1, 0, 0, 0) at first
+    deformation_gain: float = 1.0  # of psi_d's heads at first
     # quantisation and rate
-    Q_f: float = 1.0  # base steps of f, s, l and O: paper
+    Q_f: float = 1.0  # base steps of f, s, l and O
     Q_s: float = 0.001
     Q_l: float = 0.001
     Q_O: float = 0.2
-    lambda_rate: float = 1e-3  # weight of the rate: HAC (Q12)
+    lambda_rate: float = 1e-3  # weight of the rate
     # stages and loss
-    stage_ends: tuple = (3000, 5000, 10_000, 40_000)  # iterations: paper
-    lambda_ssim: float = 0.2  # weight of D-SSIM: 3DGS (Q13)
-    # Learning rates, first and last, geometric over all iterations from `decay_from` on (ours). The
-    # first ones are the paper's, the last ones those of Scaffold-GS unless another is named (Q17).
+    stage_ends: tuple = (3000, 5000, 10_000, 40_000)  # iterations
+    lambda_ssim: float = 0.2  # weight of D-SSIM
+    # learning rates: first and last, geometric over all iterations from `decay_from` on
     decay_from: int = 0
-    lr_x: tuple = (0.0, 0.0)  # positions: Scaffold-GS (Q14)
+    lr_x: tuple = (0.0, 0.0)  # positions
     lr_f: tuple = (0.0075, 0.0075)
     lr_s: tuple = (0.007, 0.007)  # log s
     lr_l: tuple = (0.007, 0.007)  # log l
@@ -64,35 +62,65 @@ class Preset:
     lr_c: tuple = (0.008, 5e-5)  # psi_c
     lr_r: tuple = (0.004, 0.004)  # psi_r
     lr_psi_s: tuple = (0.004, 0.004)
-    lr_d: tuple = (1.6e-4, 1.6e-6)  # psi_d; last: D3DGS
-    lr_grid: tuple = (0.0016, 1e-5)  # hash grid; last: HAC
-    lr_p: tuple = (0.005, 1e-5)  # psi_p; last: HAC
-    lr_q: tuple = (0.005, 1e-5)  # psi_q; last: HAC
-    # growing, pruning and masking: Scaffold-GS (Q15, Q16) unless another source is named
+    lr_d: tuple = (1.6e-4, 1.6e-6)  # psi_d
+    lr_grid: tuple = (0.0016, 1e-5)  # hash grid
+    lr_p: tuple = (0.005, 1e-5)  # psi_p
+    lr_q: tuple = (0.005, 1e-5)  # psi_q
+    # growing, pruning and masking
     grow: str = "scaffold"  # how anchors grow
     grow_from: int = 1500  # last iteration without growing
     grow_every: int = 100  # iterations of a window
     grow_until: int = 15_000  # first iteration without growing
     collect_from: int = 500  # first iteration in the statistics
     gradient_threshold: float = 2e-4  # of projected centres, to grow
-    grow_init: int = 16  # coarsest voxel for growing, in epsilon: paper
+    grow_init: int = 16  # coarsest voxel for growing, in epsilon
     grow_hierarchy: int = 4  # ratio of voxels of two levels
     grow_depth: int = 3  # levels of growing
     success: float = 0.8  # share of a window that it takes to be judged
     min_opacity: float = 0.005  # below it an anchor is dead
-    mask_from: int = 5000  # first iteration with masking: ours (Q15)
+    mask_from: int = 5000  # first iteration with masking
 
     @property
-    def iterations(self) -> int:
+    def iterations(self):
         """The length of the training."""
         return self.stage_ends[-1]
 
-    def stage(self, iteration: int) -> int:
+    def stage(self, iteration):
         """The stage, 1 to 4, of an iteration counted from 0."""
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
 FIELDS = tuple(Preset.__annotations__)[1:]  # without the name
+
+
+def by_field(table):
+    """{field: value} of a table {names of fields: value}."""
+    return {name: value for names, value in table.items() for name in names.split()}
+
+
+# Where the values of the paper's presets come from; a Q is a choice in tutorials/reference.md.
+SOURCES = by_field(
+    {
+        "voxel d k hidden context Q_f Q_s Q_l Q_O stage_ends grow_init": "paper",
+        "anchors extent feature_std": "Scaffold-GS (Q28)",
+        "deformation": "paper (Q1)",
+        "L_x L_t": "D3DGS (Q2)",
+        "grid_3d grid_2d table_3d table_2d F": "HAC (Q11)",
+        "tau_alpha": "Scaffold-GS (Q4)",
+        "opacity_bias upright deformation_gain": "off, as the parents (Q28)",
+        "lambda_rate": "HAC (Q12)",
+        "lambda_ssim": "3DGS (Q13)",
+        "decay_from": "ours (Q17)",
+        "lr_x": "Scaffold-GS (Q14)",
+        "lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s": "paper; last: Scaffold-GS (Q17)",
+        "lr_d": "paper; last: D3DGS (Q17)",
+        "lr_grid lr_p lr_q": "paper; last: HAC (Q17)",
+        "grow grow_from grow_every grow_until collect_from": "Scaffold-GS (Q16)",
+        "gradient_threshold grow_hierarchy grow_depth": "Scaffold-GS (Q16)",
+        "success min_opacity": "Scaffold-GS (Q15, Q16)",
+        "mask_from": "ours (Q15)",
+    }
+)
 
 PAPER_SYNTHETIC = Preset()
 PAPER_REAL = Preset(
@@ -172,9 +200,7 @@ SMOKE = replace(
     mask_from=45,
 )
 
-PRESETS: dict[str, Preset] = {
-    preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_REAL, SMOKE)
-}
+PRESETS = {preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_REAL, SMOKE)}
 
 
 MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become a float
@@ -193,41 +219,34 @@ def widths(most):
     )
 
 
-def every(names, requirement):
-    """{field: requirement} for several fields."""
-    return dict.fromkeys(names.split(), requirement)
-
-
 # What a field must be, in words and as a test. Of all others, a number that is not negative.
-REQUIREMENTS = {
-    **every(
-        "anchors extent voxel grow_every grow_init grow_hierarchy",
-        (f"a positive number up to {MAX_VALUE:g}", lambda value: 0 < value <= MAX_VALUE),
-    ),
-    **{name: between(1, most) for name, most in MAX_OF.items()},
-    **every("hidden deformation context", widths(MAX_LAYERS)),
-    **every("grid_3d grid_2d", widths(16)),
-    **every("table_3d table_2d", between(1, MAX_ENTRIES)),
-    **every("tau_alpha lambda_ssim", between(0, 1)),
-    **every("Q_f Q_s Q_l Q_O", between(2.0**-40, 2.0**40)),
-    **every(
-        "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q",
-        (
+REQUIREMENTS = {name: between(1, most) for name, most in MAX_OF.items()} | by_field(
+    {
+        "anchors extent voxel grow_every grow_init grow_hierarchy": (
+            f"a positive number up to {MAX_VALUE:g}",
+            lambda value: 0 < value <= MAX_VALUE,
+        ),
+        "hidden deformation context": widths(MAX_LAYERS),
+        "grid_3d grid_2d": widths(16),
+        "table_3d table_2d": between(1, MAX_ENTRIES),
+        "tau_alpha lambda_ssim": between(0, 1),
+        "Q_f Q_s Q_l Q_O": between(1e-13, 1e13),
+        "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q": (
             "first,last, two positive rates or 0,0",
             lambda ends: (
-                len(ends) == 2 and all(0 <= n <= MAX_VALUE for n in ends) and all(ends) == any(ends)
+                len(ends) == 2 and all(0 <= n <= 1e38 for n in ends) and all(ends) == any(ends)
             ),
         ),
-    ),
-    "stage_ends": (
-        "four rising iterations",
-        lambda ends: (
-            len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE
+        "stage_ends": (
+            "four rising iterations",
+            lambda ends: (
+                len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE
+            ),
         ),
-    ),
-    "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),
-    "grow_depth": between(0, 16),
-}
+        "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),
+        "grow_depth": between(0, 16),
+    }
+)
 
 
 def differences(preset, against=PAPER_SYNTHETIC):

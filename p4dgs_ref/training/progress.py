@@ -29,11 +29,9 @@ class Progress:
     def __call__(self, trainer, losses, rendered, view):
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
-        anchors, gaussians = trainer.primitives, len(rendered.index)
         if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
-            trainer.history.append(
-                [done, stage, losses.L_total, decibel, losses.L_rate, anchors, gaussians]
-            )
+            counts = trainer.primitives, len(rendered.index)
+            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
         self.steps += 1
         seconds = time.monotonic() - self.shown
         due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
@@ -45,8 +43,8 @@ class Progress:
         line = (
             f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
             f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
-            f"{losses.L_rate:.2f} bits/parameter  {anchors} anchors  "
-            f"{gaussians} Gaussians  {ms:.1f} ms/step"
+            f"{losses.L_rate:.2f} bits/parameter  {trainer.primitives} anchors  "
+            f"{len(rendered.index)} Gaussians  {ms:.1f} ms/step"
         )
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"

@@ -4,7 +4,6 @@ A random view, its loss and gradients, a check for NaN, a step of Adam, and dens
 trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
 """
 
-from copy import copy
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
 from .parameters import Adam, Parameters, exponential
-from .watch import NotFinite, find_first, first_bad
+from .watch import NotFinite, first_bad, first_not_finite
 
 # Bytes of moments for SSIM that are kept: those of 682 views of 64x64, of 4 of 800x800.
 MAX_MOMENT_BYTES = 2**28
@@ -55,9 +54,11 @@ def assemble(p, design, mask, box, background):
 
 
 def tagged(named, tag):
-    """Copies of the values whose names begin with the tag, by the rest of their names."""
+    """Copies of the arrays whose names begin with the tag, by the rest of their names."""
     return {
-        name.removeprefix(tag): copy(value) for name, value in named.items() if name.startswith(tag)
+        name.removeprefix(tag): value.copy()
+        for name, value in named.items()
+        if name.startswith(tag)
     }
 
 
@@ -78,7 +79,7 @@ class Trainer:
     def begin(self, points):
         """Draw the first parameters; anchors start at points [A, 3], or at random without them."""
         self.design = design_of(self.preset, self.scene.effects)
-        self.box: tuple = ()  # the corners of the bounding box, fixed when stage 4 starts
+        self.box = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
@@ -142,7 +143,7 @@ class Trainer:
         return self.scene.train[self.order.pop()]
 
     def rate_of(self, name):
-        """The current learning rate of a name of `learning_rates`; 0 where the stage has none."""
+        """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
         if self.stage < FIRST_STAGE.get(name, 1) or name == "x_a" and self.stage == 4:
             return 0.0
         return exponential(
@@ -187,7 +188,7 @@ class Trainer:
         # The opacities are checked too: masking would hide a NaN among them from the loss.
         watched = (losses.L_total, gradients.vector, rendered.alpha)
         if not all(np.isfinite(values).all() for values in watched):
-            raise NotFinite(f"iteration {self.iteration}: {find_first(inputs)}")
+            raise NotFinite(f"iteration {self.iteration}: {first_not_finite(inputs)}")
         return losses, rendered, gradients, mean2d_bar
 
     def freeze_positions(self):
@@ -240,8 +241,7 @@ class Trainer:
         """
         added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
-        if not keep.any() and not count:
-            keep = np.arange(len(keep)) == 0
+        keep[0] |= not (keep.any() or count)
         self.change_rows(density.ROWS, keep, added)
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)

@@ -1,7 +1,7 @@
 """Watches calls of functions from outside, for the first NaN, for counts and for times.
 
-Nothing is replaced, and outside the `with` block nothing is slower. `find_first` runs an iteration
-again to name the equation, array and index that was the first to be NaN or infinite.
+Nothing is replaced, and outside the `with` block nothing is slower. `first_not_finite` runs an
+iteration again to name the equation, array and index that was the first to be NaN or infinite.
 """
 
 import sys
@@ -9,19 +9,20 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ..splatting import fast
-from ..table import EQUATIONS
+from ..splatting import factored, fast
+from ..splatting.table import EQUATIONS
 from . import objective
 
 
 def equation_codes():
-    """{code object: (key, "forward" or "backward")} of equations and of the fast renderer.
+    """{code object: (key, "forward" or "backward")} of equations and of their twins in training.
 
-    The fast renderer has the key "compositing, fast".
+    The twins have the keys "projection, factored" and "compositing, fast".
     """
+    twins = {"projection, factored": factored, "compositing, fast": fast}
     return {
         getattr(module, name).__code__: (key, name)
-        for key, module in {**EQUATIONS, "compositing, fast": fast}.items()
+        for key, module in {**EQUATIONS, **twins}.items()
         for name in ("forward", "backward")
     }
 
@@ -66,7 +67,7 @@ def first_bad(arrays, where=""):
     return None
 
 
-def find_first(inputs):
+def first_not_finite(inputs):
     """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
@@ -84,7 +85,7 @@ def find_first(inputs):
             name = "backward, gradient of"
         phrases.append(first_bad(value, f"{where}, {name}: "))
 
-    with np.errstate(all="ignore"), watching(equation_codes(), see):
+    with watching(equation_codes(), see):
         losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [

@@ -164,9 +164,8 @@ def test_train_on_the_layout_of_nerf_ds(ok):
     assert ok("evaluate twocams.p4dgs twocams --json")["scene"] == "twocams"
     assert "12 images" in ok("render twocams.p4dgs -o views --scene twocams")
     assert Path("views/000002_right.png").is_file()
-    lines = [f"{i} {i} 0 0 0 0 0 0 1 1" for i in range(3)]
-    Path("points3D.txt").write_text("\n".join(lines), encoding="utf-8")
-    assert "3 anchors" in ok(f"train twocams -o other --points points3D.txt {options}")
+    np.save("points.npy", np.arange(3.0)[:, None] * [1, 0, 0])
+    assert "3 anchors" in ok(f"train twocams -o other --points points.npy {options}")
     with np.load("other/checkpoint.npz") as file:
         x = p4.load_scene("twocams").points  # what (x - center) scale made of the file's points
         raw = np.load(ROOT / "tiny_scenes/twocams/points.npy")

@@ -7,7 +7,8 @@ import pytest
 
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.header import AXES, FIELDS
-from p4dgs_ref.limits import MAX_BOX, MAX_OF
+from p4dgs_ref.codec.plain import MAX_BOX
+from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from tests.golden.both import VERSIONS, sections_of, write_container
 from tests.golden.conformance_good import LARGEST, Parts, coded_parts

@@ -84,7 +84,7 @@ def test_table_and_cases_fit_the_functions(eq):
     assert "ordinary" in flags and len(flags) > 1 and flags <= set(FLAGS), flags
     assert all(case.flags for case in cases)
 
-    assert eq.formula and eq.module.rpartition(".")[2] == eq.key
+    assert eq.formula and eq.module.__name__.rpartition(".")[2] == eq.key
     parameters = inspect.signature(eq.forward).parameters
     needed = {name for name, p in parameters.items() if p.default is inspect.Parameter.empty}
     for case in cases:

@@ -16,76 +16,19 @@ from tests.golden.sixty_digits import functions as f
 from tests.golden.sixty_digits.errors import error
 from tests.golden.sixty_digits.floats import exact
 from tests.golden.sixty_digits.gradients import FORMULAS
-from tests.golden.sixty_digits.record import FILE, SAMPLES, measure, text
+from tests.golden.sixty_digits.record import FILE, SAMPLES, measure
 from tests.sampling import few
 
 RECORDED = json.loads(FILE.read_text(encoding="utf-8"))["errors"]
 CASES = [(key, case.name) for key in EQUATIONS for case in cases_of(key)]
 
-# Sixty digits: pi, e and log 2 as in OEIS A000796, A001113, A002162; all of them from mpmath 1.4
-# with 70 digits, which also agrees with every function here to 158 digits at a few hundred points.
+# From mpmath 1.4 with 70 digits; pi, e and log 2 as in OEIS A000796, A001113, A002162.
 TABLE = [
-    ("pi", lambda: f.pi(), "3.14159265358979323846264338327950288419716939937510582097494"),
-    (
-        "e",
-        lambda: f.exp(Decimal(1)),
-        "2.71828182845904523536028747135266249775724709369995957496697",
-    ),
-    (
-        "log 2",
-        lambda: f.log(Decimal(2)),
-        "0.693147180559945309417232121458176568075500134360255254120680",
-    ),
-    (
-        "sin 1",
-        lambda: f.sin(Decimal(1)),
-        "0.841470984807896506652502321630298999622563060798371065672752",
-    ),
-    (
-        "sin 10^22",
-        lambda: f.sin(Decimal(10**22)),
-        "-0.852200849767188801772705893753029368261762150410043656256509",
-    ),
-    (
-        "cos beside its zero",
-        lambda: f.cos(Decimal(1.5707963267948966)),
-        "6.12323399573676588613032966137500146464037779883628305209610E-17",
-    ),
-    (
-        "tanh 1",
-        lambda: f.tanh(Decimal(1)),
-        "0.761594155955764888119458282604793590412768597257936551596811",
-    ),
-    (
-        "expm1 2^-60",
-        lambda: f.expm1(Decimal(2) ** -60),
-        "8.67361737988403547582120432959085371799375766377760692370727E-19",
-    ),
-    (
-        "log1p 2^-60",
-        lambda: f.log1p(Decimal(2) ** -60),
-        "8.67361737988403546829804048432821366808139457022165533846875E-19",
-    ),
-    (
-        "erf 1",
-        lambda: 1 - f.erfc(Decimal(1)),
-        "0.842700792949714869341220635082609259296066997966302908459938",
-    ),
-    (
-        "erfc 10",
-        lambda: f.erfc(Decimal(10)),
-        "2.08848758376254475700078629495778861156081811932116372701221E-45",
-    ),
-    (
-        "log Phi(-40)",
-        lambda: f.log(f.Phi(Decimal(-40))),
-        "-804.608442013753788166606832918609936200149631998777923179648",
-    ),
-    (
-        "bits at 1000 sigma",
-        lambda: -f.log_mass(Decimal(1000), Decimal(1)) / f.log(Decimal(2)),
-        "720637.644073182949088444280612548951875309529126028900449577",
-    ),
+    ("exp", "1", "2.71828182845904523536028747135266249775724709369995957496697"),
+    ("log", "2", "0.693147180559945309417232121458176568075500134360255254120680"),
+    ("sin", "1e22", "-0.852200849767188801772705893753029368261762150410043656256509"),
+    ("tanh", "1", "0.761594155955764888119458282604793590412768597257936551596811"),
+    ("erfc", "10", "2.08848758376254475700078629495778861156081811932116372701221E-45"),
 ]
 
 
@@ -98,10 +41,11 @@ def agree(got, want, digits=60):
 
 
 # --- elementary functions ------------------------------------------------------------------------
-@pytest.mark.parametrize("name, ours, published", TABLE, ids=[row[0] for row in TABLE])
-def test_published_constants(name, ours, published):
+@pytest.mark.parametrize("name, x, published", TABLE)
+def test_published_constants(name, x, published):
     with f.working():
-        agree(ours(), Decimal(published), 59)
+        agree(getattr(f, name)(Decimal(x)), Decimal(published), 59)
+        agree(f.pi(), Decimal("3.14159265358979323846264338327950288419716939937510582097494"), 59)
 
 
 def arguments(count, low, high):
@@ -127,29 +71,6 @@ def test_identities():
             )
 
 
-@pytest.mark.parametrize(
-    "function, arguments",
-    [
-        (f.log_mass, ("3", "1e-200")),
-        (f.log_mass, ("1e200", "1e-12")),
-        (f.log_mass, ("0", "1e-100")),
-        (f.mills, ("7.99",)),
-        (f.sin, ("1e250",)),
-        (f.cos, ("1.5707963267948966",)),
-        (f.expm1, ("1e-200",)),
-        (f.log1p, ("-1e-200",)),
-        (f.tanh, ("1e-200",)),
-    ],
-)
-def test_digits_that_cancel_are_added_first(function, arguments):
-    """The working precision gives the same as many more digits."""
-    arguments = [Decimal(a) for a in arguments]
-    with f.working():
-        plain = function(*arguments)
-        with f.guard(500):
-            agree(plain, function(*arguments), f.WORKING - 5)
-
-
 # --- floats and decimals -------------------------------------------------------------------------
 def test_conversion_is_exact_one_way_and_rounded_once_the_other():
     a = np.array([0.1, -1e300, 5e-324, np.inf]), np.array([0.1, 1e-45], np.float32)
@@ -168,13 +89,6 @@ def test_conversion_is_exact_one_way_and_rounded_once_the_other():
     assert np.float32(float(above)) == 1  # the result of rounding twice
     want = np.array([1, 1 + ulp, 1, -1 - ulp, np.inf, top, np.inf, np.nan], np.float32)
     assert np.array_equal(sixty.to_float(values, np.float32), want, equal_nan=True)
-
-
-def test_text():
-    assert sixty.text(Decimal("0.12345678901234567890"), 5) == "1.2346e-1"
-    assert len(sixty.text(f._pi(100))) == len("3." + 49 * "1" + "e+0")
-    with pytest.raises(ValueError, match="digits = 61"):
-        sixty.text(Decimal(1), 61)
 
 
 # --- gradients -----------------------------------------------------------------------------------
@@ -240,15 +154,6 @@ ALLOWED = {
     "likelihood/narrow": (64, "slopes: the Taylor series of a bin ends at 3e-15"),
     "likelihood/tail_of_narrow_bins": (64, "the same"),
     "likelihood/edge_of_a_wide_bin": (64, "slopes: tails by difference"),
-    "sh_color/at_the_clamp": (2**53, "the last digit of a constant decides on which side it is"),
-    "conditional/round_in_the_plane": (
-        2**53,
-        "the velocity is 0 but for the rounding of the inputs",
-    ),
-    "spherindrical/a_period_and_a_quarter": (
-        32,
-        "a zero of the cosine: the angle of 2.5 pi is rounded",
-    ),
 }
 
 
@@ -292,10 +197,6 @@ def test_the_record_is_of_these_cases():
     assert {(key, name) for key, by in RECORDED.items() for name in by["float64"]} == set(CASES)
     for key, eq in EQUATIONS.items():
         assert set(eq.gradients) == set(FORMULAS[key][1])
-
-
-def test_the_record_is_written_as_it_is_read():
-    assert FILE.read_text(encoding="utf-8") == text(RECORDED)
 
 
 # --- mistakes are seen ---------------------------------------------------------------------------

@@ -1,12 +1,10 @@
-"""SSIM and Eq. (16) against SciPy's filters, and on the images where careless formulas fail."""
+"""SSIM and Eq. (16): the window, and the images where careless formulas fail."""
 
 import numpy as np
 import pytest
 
 from p4dgs_ref.equations import render_loss, ssim, window
-from tests.golden.independent import filtered_ssim
 
-BOTH = pytest.mark.parametrize("dtype", [np.float64, np.float32])
 # Smaller and larger than the window, and across one, two and three blocks of `blur`.
 SHAPES = [(9, 7, 2), (1, 1, 1), (1, 12, 3), (4, 33, 1), (50, 37, 1)]
 
@@ -16,16 +14,6 @@ def pair(shape, dtype=np.float64, seed=0):
     rng = np.random.default_rng(seed)
     truth = rng.random(shape)
     return (truth + 0.3 * rng.normal(size=shape)).astype(dtype), truth.astype(dtype)
-
-
-@BOTH
-@pytest.mark.parametrize("shape", SHAPES)
-def test_against_scipy_filters(shape, dtype):
-    x, y = pair(shape, dtype)
-    want = filtered_ssim(x.astype(float), y.astype(float))
-    assert ssim.forward(x, y)[0] == pytest.approx(
-        want, rel=max(1e-12, 4 * float(np.finfo(dtype).eps))
-    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)

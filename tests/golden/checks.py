@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref import EQUATIONS
 from tests.equations.rules import altered
 from tests.golden.mutate import rewritten
 
@@ -13,7 +13,7 @@ def edited(key, changes, helper=None):
     With `helper`, the text stands in that module, from which the equation imports functions.
     """
     eq = EQUATIONS[key]
-    names = rewritten(eq.module, {} if helper else changes)
+    names = rewritten(eq.module.__name__, {} if helper else changes)
     if helper:
         right, others = vars(import_module(helper)), rewritten(helper, changes)
         names.update({n: others[n] for n, a in right.items() if names.get(n) is a})

@@ -3,11 +3,9 @@
 They are closed forms, and 60-digit decimals rounded once.
 """
 
-import math
 from decimal import Decimal
 
 import numpy as np
-from scipy.ndimage import correlate1d
 
 from p4dgs_ref.oracle.published import flatten
 from tests.golden.sixty_digits import gradient, to_float, value
@@ -92,29 +90,3 @@ def _bin(z, w):
     with working():
         ln_2 = log(Decimal(2))
         return {f"out.{name}": to_float(-a[:, 0] * ln_2) for name, a in tensors.items()}
-
-
-C1, C2 = 1e-4, 9e-4  # of SSIM
-
-
-def taps():
-    """The 11 weights of the window along one axis."""
-    tap = [math.exp(-i * i / 4.5) for i in range(-5, 6)]
-    return [t / math.fsum(tap) for t in tap]
-
-
-def formula(mx, my, xx, yy, xy):
-    """SSIM of means, variances and covariance, as printed."""
-    return (2 * mx * my + C1) * (2 * xy + C2) / ((mx**2 + my**2 + C1) * (xx + yy + C2))
-
-
-def filtered_ssim(x, y):
-    """The printed formula on SciPy's filters."""
-
-    def blur(a):
-        down = correlate1d(a, taps(), axis=0, mode="constant")
-        return correlate1d(down, taps(), axis=1, mode="constant")
-
-    mx, my = blur(x), blur(y)
-    xx, yy, xy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
-    return formula(mx, my, xx, yy, xy).mean()

@@ -1,4 +1,4 @@
-"""Vectors of level L2 for the rule of the published kernel (Kerbl et al. 2023), Q21's `paper`.
+"""Vectors of level L2 for the rule of the published kernel (Kerbl et al. 2023), Q21's `kernel`.
 
 `lists` and `composite` are written from the rule, tile by tile, and share no code with the
 renderers of the package, which tests compare with them. Every operation has the precision of its
@@ -23,10 +23,10 @@ import numpy as np
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import fast
-from p4dgs_ref.splatting.settings import PAPER
+from p4dgs_ref.splatting.settings import KERNEL
 from tests.golden import stages
-from tests.golden.flat import CAMERA_SHAPES, as_published, camera_of
-from tests.golden.subjects import Subject, no_pullback
+from tests.golden.flat import as_published, camera_of
+from tests.golden.subjects import no_pullback
 
 TILE, MASK, STOP, ALPHA_MAX = 16, 1 / 255, 1e-4, 0.99
 CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}
@@ -100,21 +100,13 @@ def composite(
     background,
     height,
     width,
-    frozen=None,
 ):
-    """Return image, transmittance and last, and the tiles.
-
-    `frozen` are the tiles of other inputs, whose lists and decisions are taken over; where their
-    alpha was clamped, it now moves with its exponent.
-    """
+    """Return image, transmittance and last, and the tiles."""
     dtype = mean2d.dtype
     image, T_all = np.empty((height, width, 3), dtype), np.empty((height, width), dtype)
     last, tiles = np.zeros((height, width), np.int32), []
-    if frozen is None:
-        of_tiles = lists(mean2d, cov2d, depth, visible, height, width)
-        places = [of_tiles.row[start:end] for start, end in of_tiles.ranges]
-    else:
-        places = [tile.rows for tile in frozen]
+    of_tiles = lists(mean2d, cov2d, depth, visible, height, width)
+    places = [of_tiles.row[start:end] for start, end in of_tiles.ranges]
     for number, rows in enumerate(places):
         y, x = divmod(number, -(-width // TILE))
         area = slice(y * TILE, (y + 1) * TILE), slice(x * TILE, (x + 1) * TILE)
@@ -125,13 +117,10 @@ def composite(
         raw = alpha[rows, None] * falloff
         A = np.minimum(raw, dtype.type(ALPHA_MAX))
         A = np.where(A < dtype.type(MASK), 0, A).astype(dtype)
-        if frozen is not None:
-            base = frozen[number]
-            A = np.where(base.raw > ALPHA_MAX, ALPHA_MAX + raw - base.raw, raw) * (base.A > 0)
         T, open_ = np.ones(len(u), dtype), np.ones(len(u), bool)
         before = np.empty_like(A)
         for i, layer in enumerate(A):
-            open_ &= (T * (1 - layer) >= STOP) | (frozen is not None)
+            open_ &= T * (1 - layer) >= STOP
             layer[~open_] = 0
             before[i] = T
             T = T * (1 - layer)
@@ -217,27 +206,16 @@ def by_monomials(inputs, cotangents):
     """The answer of the package's `fast`, a right renderer that loses digits by its polynomials."""
     (image, T, last), _ = composite(**inputs)
     wide = cast(definite(inputs), np.float64)
-    settings = PAPER._replace(dtype=image.dtype.name)
+    settings = KERNEL._replace(dtype=image.dtype.name)
     (image, T), saved = fast.forward(**wide, settings=settings)
     bars = fast.backward(saved, cotangents["image_bar"])
     outputs = {"image": image, "transmittance": T, "last": last}
     return {**flatten(outputs, "out."), **flatten(bars, "in_bar.")}
 
 
-def kernel_surrogate(**base):
-    """The kernel with the lists and decisions of `base`."""
-    frozen = composite(**base)[1]
-
-    def smooth(**moved):
-        image, T, _ = composite(**moved, frozen=frozen)[0]
-        return {"image": image, "transmittance": T}
-
-    return smooth
-
-
 def splats_of(x, s, r, camera):
     """Return the splats of some Gaussians as inputs of `composite`, and their pullback."""
-    splats, pullback = stages.projected(x, s, r, camera, PAPER)
+    splats, pullback = stages.projected(x, s, r, camera, KERNEL)
     return dict(splats, height=camera.height, width=camera.width), pullback
 
 
@@ -257,130 +235,13 @@ def stage_vjp(x, s, r, alpha, color, W, T, focal, center, size, background):
     return {"radius": lists(**of_lists).radius, **outputs}, pullback
 
 
-def of_kernel(x, s, r, alpha, color, W, T, focal, center, size, background):
-    """Return the inputs of the kernel that the stage computes."""
-    splats, _ = splats_of(x, s, r, camera_of(W, T, focal, center, size))
-    return dict(splats, alpha=alpha, color=color, background=background)
-
-
-def stage_surrogate(**base):
-    """The stage with the lists and decisions of `base`."""
-    smooth = kernel_surrogate(**of_kernel(**base))
-    return lambda **moved: smooth(**of_kernel(**moved))
-
-
 LISTED = ("mean2d", "cov2d", "depth", "visible", "height", "width")
 
 
-SPLAT_SHAPES = {
-    "mean2d": "N 2",
-    "cov2d": "N 3",
-    "conic": "N 3",
-    "alpha": "N",
-    "color": "N 3",
-    "depth": "N",
-    "visible": "N",
-    "background": "3",
-    "height": "",
-    "width": "",
-}
-IMAGE_SHAPES = {"image": "H W 3", "transmittance": "H W", "last": "H W"}
 SUBJECTS = (
-    Subject(
-        "tile_lists",
-        "L2",
-        "compositing",
-        "",
-        "splats -> the kernel's tiles, sorted keys and lists",
-        {
-            **{name: SPLAT_SHAPES[name] for name in LISTED},
-            "radius": "N",
-            "rect": "N 4",
-            "tile": "K",
-            "row": "K",
-            "key": "K",
-            "ranges": "G 2",
-        },
-        (),
-        lists_vjp,
-        as_published("tile_lists"),
-        {"tile": TILE},
-        single=True,
-    ),
-    Subject(
-        "kernel_pixels",
-        "L2",
-        "compositing",
-        "",
-        "splats, image_bar -> opacity and T of every splat at some pixels, and their gradients",
-        {
-            **SPLAT_SHAPES,
-            "image_bar": "H W 3",
-            "pixels": "P 2",
-            **dict.fromkeys(("A", "T", "A_bar", "T_bar"), "N P"),
-        },
-        (),
-        pixels_vjp,
-        as_published("kernel_pixels"),
-        CONSTANTS,
-        single=True,
-        steady=("depth",),
-        group="inside",
-    ),
-    Subject(
-        "kernel",
-        "L2",
-        "compositing",
-        "",
-        "splats -> image, by the rule of the published kernel",
-        {**SPLAT_SHAPES, **IMAGE_SHAPES},
-        (*SPLATS, "background"),
-        kernel_vjp,
-        as_published("kernel"),
-        CONSTANTS,
-        kernel_surrogate,
-        True,
-        ("depth",),
-        twins=(by_monomials,),
-    ),
-    Subject(
-        "kernel_many",
-        "L2",
-        "compositing",
-        "",
-        "2,000 splats -> image, by the rule of the published kernel",
-        {**SPLAT_SHAPES, **IMAGE_SHAPES},
-        (*SPLATS, "background"),
-        kernel_vjp,
-        as_published("kernel_many"),
-        CONSTANTS,
-        kernel_surrogate,
-        True,
-        ("depth",),
-        twins=(by_monomials,),
-    ),
-    Subject(
-        "kernel_stage",
-        "L2",
-        "compositing",
-        "",
-        "Gaussians at t -> image, by the rule of the published kernel",
-        {
-            "x": "N 3",
-            "s": "N 3",
-            "r": "N 4",
-            "alpha": "N",
-            "color": "N 3",
-            **CAMERA_SHAPES,
-            "background": "3",
-            "radius": "N",
-            **IMAGE_SHAPES,
-        },
-        ("x", "s", "r", "alpha", "color", "background"),
-        stage_vjp,
-        as_published("kernel_stage"),
-        CONSTANTS,
-        stage_surrogate,
-        True,
-    ),
+    as_published("tile_lists", lists_vjp, single=True),
+    as_published("kernel_pixels", pixels_vjp, single=True, steady=("depth",)),
+    as_published("kernel", kernel_vjp, single=True, steady=("depth",), twins=(by_monomials,)),
+    as_published("kernel_many", kernel_vjp, single=True, steady=("depth",), twins=(by_monomials,)),
+    as_published("kernel_stage", stage_vjp, single=True),
 )

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref import EQUATIONS
 
 # Files that serve an equation, or several.
 HELPERS = {
@@ -111,7 +111,7 @@ class Mutation(NamedTuple):
 
 def files():
     """Return [(module, its equation)] of all files that are mutated."""
-    equations = [(eq.module, key) for key, eq in EQUATIONS.items()]
+    equations = [(eq.module.__name__, key) for key, eq in EQUATIONS.items()]
     return equations + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
 
 

@@ -17,31 +17,18 @@ from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import FIELDS, SMOKE
 from p4dgs_ref.training.trainer import Trainer
-from tests.golden.flat import CAMERA_SHAPES, as_published, camera_of
+from tests.golden.flat import as_published, camera_of
 from tests.golden.pipeline import (
     ARRAYS,
     LOSSES,
-    OF_ANCHORS,
-    STATE_SHAPES,
     by_step,
-    each_step,
     joined,
 )
-from tests.golden.subjects import Subject, no_pullback
+from tests.golden.subjects import no_pullback
 
 ROLES = {"": "parameters", "m_": "first", "v_": "second"}
 SUMS = ("visits", "opacity", "gradient", "seen")
 GIVEN = ("W", "T", "focal", "center", "size", "times", "truth", "background")  # the views
-# Fields of a preset that only the start of a training concerns.
-UNUSED = ("anchors", "extent", "feature_std", "opacity_bias", "upright", "deformation_gain")
-# What the vectors switch off and no preset can switch on, at its place among the settings.
-OFF_AFTER = {"deformation": ("time_net", "skip"), "lambda_ssim": ("lambda_volume",)}
-SETTINGS = [
-    name
-    for field in FIELDS
-    if field not in UNUSED
-    for name in (field, *OFF_AFTER.get(field, ()))
-]
 
 
 class GivenNumbers:
@@ -90,9 +77,9 @@ def views_of(W, T, focal, center, size, times, truth):
     return tuple(View("", image, None, camera, time) for image, camera, time in named)
 
 
-def trainer_of(state, views, background, iteration, effects, settings):
-    """Return a Trainer in a given state: arrays, moments, steps, mask, sums and box."""
-    preset = replace(SMOKE, **{n: v for n, v in settings.items() if n in FIELDS})
+def trainer_of(state, views, background, iteration, effects):
+    """Return a Trainer in a given state: arrays, moments, steps, mask, sums, box, and settings."""
+    preset = replace(SMOKE, **{n: v for n, v in state.items() if n in FIELDS})
     scene = SimpleNamespace(train=views, effects=effects, background=background, points=None)
     trainer = Replayed(scene, preset, settings=EXACT)
     p, m, v = (
@@ -133,8 +120,7 @@ def steps(u, views, iteration, effects, draws=(), **inputs):
     """
     scene = {name: inputs.pop(name) for name in GIVEN}
     background = scene.pop("background")
-    settings = {name: inputs.pop(name) for name in SETTINGS}
-    trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects, settings)
+    trainer = trainer_of(inputs, views_of(**scene), background, iteration, effects)
     trainer.rng = GivenNumbers(u, draws)
     trainer.order = [*views[::-1]]
     for _ in views:
@@ -164,71 +150,10 @@ def replay_steps(**inputs):
     return by_step(states), no_pullback
 
 
-def state_names():
-    """Return the names of all that a state consists of."""
-    named = [tag + name for tag in ROLES for name in ARRAYS]
-    return [*named, "steps", "mask", *SUMS, "box"]
-
-
-def shapes():
-    """Return the axes of all inputs and outputs; A anchors become B."""
-    axes_of = {}
-    for tag in ROLES:
-        for name, axes in STATE_SHAPES.items():
-            ends = f"{axes} -> {axes.replace('A', 'B')}"
-            axes_of[tag + name] = ends if name in OF_ANCHORS else axes
-    axes_of |= {name: "A k -> B k" for name in ("mask", *SUMS)} | {"visits": "A -> B"}
-    cameras = {name: f"V {axes}" for name, axes in CAMERA_SHAPES.items() if name != "size"}
-    return {
-        **axes_of,
-        **cameras,
-        "size": "2",
-        "times": "V",
-        "truth": "V H W 3",
-        "background": "3",
-        "box": "X 3 -> Y 3",
-        "steps": "M",
-        "views": "S",
-        "u": "*A n",
-        "draws": "*C",
-        "iteration": "",
-        "effects": "",
-        **dict.fromkeys(SETTINGS, ""),
-        **dict.fromkeys(LOSSES, "S"),
-        "rates": "S M",
-    }
-
-
-def subject(key, formula, cases, vjp=replay):
-    return Subject(
-        key,
-        "L4",
-        "total_loss",
-        "1 to 9, 11 to 17",
-        formula,
-        shapes(),
-        (),
-        vjp,
-        cases,
-        {"arrays": list(ARRAYS), "beta_1": 0.9, "beta_2": 0.999, "epsilon": 1e-15},
-        single=True,
-        # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
-        even=("out.x_a", *(f"out.x_a.{i}" for i in range(6))),
-    )
-
-
-OF_STATE = {name: axes for name, axes in shapes().items() if name in state_names()}
+# On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
+EVEN = ("out.x_a", *(f"out.x_a.{i}" for i in range(6)))
 SUBJECTS = (
-    subject(
-        "training_steps",
-        "state, views, noise -> state after every step",
-        as_published("training_steps"),
-        replay_steps,
-    )._replace(shapes=shapes() | each_step(OF_STATE), group="inside"),
-    subject("training", "state, views, noise -> state after an event", as_published("training")),
-    subject(
-        "training_whole",
-        "state, views, noise -> state after ten steps",
-        as_published("training_whole"),
-    ),
+    as_published("training_steps", replay_steps, single=True, even=EVEN),
+    as_published("training", replay, single=True, even=EVEN),
+    as_published("training_whole", replay, single=True, even=EVEN),
 )

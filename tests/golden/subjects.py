@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Callable, NamedTuple
 
 from p4dgs_ref.oracle import published, tolerance
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import shape_comments
 from tests.golden.cases import cases_of
 from tests.golden.hard_cases import catalogue
@@ -40,9 +40,6 @@ class Subject(NamedTuple):
     vjp: Callable  # (**inputs) -> ({output: array}, pullback); pullback(**cotangents)
     cases: Callable  # () -> iterable of Case
     constants: dict = {}
-    # Where a gradient is straight-through: surrogate(**base)(**inputs) returns the outputs of a
-    # function whose derivative at `base` is that gradient.
-    surrogate: Callable | None = None
     single: bool = False  # all inputs and cotangents are float32 numbers, and stored as such
     steady: tuple = ()  # inputs that decide something, and are not changed to measure S
     even: tuple = ()  # tensors in which all numbers have the S of the largest

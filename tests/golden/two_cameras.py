@@ -11,7 +11,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.output import filled
+from p4dgs_ref.output import staged_folder
 from p4dgs_ref.scenes.simulator import camera_at
 from p4dgs_ref.scenes.simulator.bodies import poses
 from p4dgs_ref.scenes.simulator.description import read_description
@@ -34,7 +34,7 @@ def draw(folder):
         "val_ids": [f"{i:06d}_right" for i in range(every // 2, moments, every)],
     }
     ids, metadata = names["train_ids"] + names["val_ids"], {}
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         for part in ("camera", "rgb/1x"):
             (staging / part).mkdir(parents=True)
         for name in ids:

@@ -18,13 +18,12 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from p4dgs_ref import __version__
+from p4dgs_ref import EQUATIONS, __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast, expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.oracle.streams import write_streams
-from p4dgs_ref.output import filled
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.output import staged_folder
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import lacking, subjects
@@ -342,7 +341,7 @@ def refuse_released(again):
 
 def regenerate(folder, progress):
     """Compute all vectors into a folder that has the files which `oracle export` writes."""
-    with filled(folder) as place:
+    with staged_folder(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
         write(place, progress)

@@ -1,4 +1,4 @@
-"""The ledger of effects, hidden units that are always zero, and a scene with all effects on."""
+"""The ledger of effects: counted work and bytes, gains, and hidden units that are always zero."""
 
 import json
 from dataclasses import replace
@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from p4dgs_ref.cli import lab as commands
+from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec import quantise
+from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
-from p4dgs_ref.designs import decode, encode
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.equations import deformation
-from p4dgs_ref.lab import effect_ledger, writer
-from p4dgs_ref.lab.accuracy.harness import shortened
-from p4dgs_ref.lab.tables import methods
-from p4dgs_ref.lab.tables.methods import OURS
+from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.lab.accuracy import trainings
+from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
@@ -36,59 +37,33 @@ def trained(name, *forced):
     return trainer
 
 
-@pytest.mark.slow
-def test_ledger(tmp_path):
-    scene, told = load_scene("bouncing"), []
-    tasks = effect_ledger.plan(scene, tmp_path / "files", seeds=2, preset="smoke")
-    assert len(tasks) == 2 * (1 + len(MODEL_EFFECTS))
-    methods.make_missing(tasks, told.append, jobs=2)
-    assert len(told) == len(tasks)
-    rows = effect_ledger.collect(tasks, tmp_path)
-    assert [row["effect"] for row in rows] == list(MODEL_EFFECTS)
-    assert json.loads(json.dumps(rows)) == rows
-    for row in rows:
-        listed = row["effect"] in scene.effects
-        assert row["called_for"] == listed and row["ms_on"] > 0 and row["ms_off"] > 0
-        assert row["work_on"] > 0 == row["work_off"]
-        assert row["bytes_on"] >= 0 == row["bytes_off"]
-        assert (row["bytes_on"] > 0) == (row["effect"] in (*MOTION, *VIEW))
-    background = rows[MODEL_EFFECTS.index("background")]
-    assert background["worth_db"] > 0.5
-    assert f"{background['worth_db']:+.2f} ±" in effect_ledger.to_text(rows)
-    again = effect_ledger.summaries(writer.read_csv(tmp_path / "effects.csv"))
-    assert again == [
-        {name: value for name, value in row.items() if not name.startswith("ms")} for row in rows
-    ]
-    assert (tmp_path / "effects.png").stat().st_size > 10_000
+# --- work and bytes ------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["static", "bouncing"])
+def test_only_listed_effects_take_work_and_bytes(name):
+    scene = load_scene(name, downscale=4)
+    result = effect_ledger.of_scene(scene)
+    for row in result["effects"]:
+        assert row["listed"] == (row["effect"] in scene.effects)
+        on, sizes = row, row["bytes"]
+        if not row["listed"]:
+            assert row["work"] == row["bytes"] == 0
+            on, sizes = {"work": row["if_work"]}, row["if_bytes"]
+        assert on["work"] > 0 and (sizes > 0) == (row["effect"] in (*MOTION, *VIEW))
+    moving = ["view", "positional_encoding", "deformation", "deformed"]
+    assert result["never_called"] == (moving if name == "static" else [])
 
 
-def test_a_gain_within_twice_its_standard_error_is_drawn_as_none(monkeypatch):
-    """Effects that are not listed are at zero, whatever they would gain."""
-
-    def row(label, seed, psnr_db, **columns):
-        return {"label": label, "seed": seed, "psnr_db": psnr_db, **columns}
-
-    rows = []
-    for seed, noise in enumerate((-0.2, 0.1, 0.1)):
-        rows.append(row("p4dgs", seed, 30, work_occlusion=4.0, bytes_view_color=256))
-        for effect in MODEL_EFFECTS:
-            label = f"{'with' if effect == 'rotation' else 'without'} {effect}"
-            gain = {"rotation": -5, "occlusion": 4 - noise}.get(effect, noise)
-            rows.append(row(label, seed, 30 - gain))
-    found = {one["effect"]: one for one in effect_ledger.summaries(rows)}
-    said = {effect: effect_ledger.said(one) for effect, one in found.items()}
-    assert said == {
-        **dict.fromkeys(MODEL_EFFECTS, "none (+0.00 ±0.20)"),
-        "rotation": "+5.00 ±0.00",
-        "occlusion": "+4.00 ±0.20",
+def test_a_file_has_the_ledger_of_its_model(tmp_path, capsys):
+    path = tmp_path / "glossy.p4dgs"
+    path.write_bytes(encode(trained("glossy").model()))
+    assert cli.run(["effects", str(path), "--json", "-o", str(tmp_path)], 0) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert {row["effect"] for row in result["effects"] if row["work"]} == {
+        *load_scene("glossy").effects
     }
-    assert [found["occlusion"][name] for name in ("work_on", "work_off")] == [4, 0]
-    assert not found["rotation"]["called_for"] and found["view_color"]["bytes_on"] == 256
-    figures = []
-    monkeypatch.setattr(effect_ledger, "save_figure", lambda figure, path: figures.append(figure))
-    effect_ledger.draw_ledger(None, found.values())
-    widths = dict(zip(MODEL_EFFECTS, [bar.get_width() for bar in figures[0].axes[2].patches]))
-    assert widths == {**dict.fromkeys(MODEL_EFFECTS, 0), "occlusion": pytest.approx(4)}
+    assert (tmp_path / "effects.png").stat().st_size > 10_000
+    assert cli.run(["effects", str(path), "--gain"], 0) == 2
+    assert "expected a scene for --gain" in capsys.readouterr().err
 
 
 def test_work_that_effects_share_belongs_to_none_of_them():
@@ -102,14 +77,72 @@ def test_work_that_effects_share_belongs_to_none_of_them():
     assert work(3, 3, 4) == {"translation": 60, "scaling": 60, "rotation": 80}
 
 
-def test_a_switched_build_differs_in_one_effect_only():
+# --- gains ---------------------------------------------------------------------------------------
+def test_trainings_differ_in_one_effect_only():
     scene = load_scene("glossy")
     for effect in MODEL_EFFECTS:
         assert set(effect_ledger.switched(scene, effect).effects) ^ set(scene.effects) == {effect}
-    short = shortened(SMOKE, 0.01)
-    assert short.stage_ends == (1, 2, 3, 4)
+    labels = [label for label, *_ in effect_ledger.tasks_of(scene, seeds=2)]
+    assert len(labels) == 2 * (1 + len(MODEL_EFFECTS)) and labels[0] == "as listed"
 
 
+def test_a_gain_within_twice_its_standard_error_is_drawn_as_none(monkeypatch):
+    """Effects that are not listed are at zero, whatever they would gain."""
+    rows = []
+    for seed, noise in enumerate((-0.2, 0.1, 0.1)):
+        rows.append({"label": "as listed", "seed": seed, "psnr_db": 30})
+        for effect in MODEL_EFFECTS:
+            label = f"{'with' if effect == 'rotation' else 'without'} {effect}"
+            gain = {"rotation": -5, "occlusion": 4 - noise}.get(effect, noise)
+            rows.append({"label": label, "seed": seed, "psnr_db": 30 - gain})
+    ledger = {
+        "effects": [
+            {"effect": effect, "listed": effect != "rotation", "work": 4, "bytes": 2}
+            for effect in MODEL_EFFECTS
+        ],
+        "never_called": [],
+    }
+    effect_ledger.add_gains(ledger, rows)
+    said = {row["effect"]: effect_ledger.said(row) for row in ledger["effects"]}
+    assert said == {
+        **dict.fromkeys(MODEL_EFFECTS, "none (+0.00 ±0.20)"),
+        "rotation": "+5.00 ±0.00",
+        "occlusion": "+4.00 ±0.20",
+    }
+    assert "+4.00 ±0.20" in effect_ledger.to_text(ledger)
+    figures = []
+    monkeypatch.setattr(effect_ledger, "save_figure", lambda figure, path: figures.append(figure))
+    effect_ledger.draw_ledger(None, ledger["effects"])
+    widths = dict(zip(MODEL_EFFECTS, [bar.get_width() for bar in figures[0].axes[2].patches]))
+    assert widths == {**dict.fromkeys(MODEL_EFFECTS, 0), "occlusion": pytest.approx(4)}
+
+
+@pytest.mark.slow
+def test_gains_are_trained_for_only_where_they_are_asked_for(tmp_path, monkeypatch, capsys):
+    plan = effect_ledger.tasks_of
+    monkeypatch.setattr(effect_ledger, "tasks_of", lambda scene: plan(scene, 2, SHORT))
+    monkeypatch.setattr(commands, "JOBS", 1)
+    arguments = ["effects", "static", "--gain", "-o", str(tmp_path)]
+    assert cli.run(arguments, 0) == 2
+    assert "--yes: expected for 16 trainings" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert cli.run([*arguments, "--yes"], 0) == 0
+    rows = read_csv(tmp_path / "effects.csv")
+    assert len(rows) == 16 and len({row["sha256"] for row in rows}) == 16
+    gain = effect_ledger.gains(rows)["background"]
+    assert f"{gain['gain']:+.2f} ±{gain['within']:.2f}" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_in_two_processes_trainings_are_the_same():
+    scene = load_scene("static", downscale=4)
+    tasks, told = effect_ledger.tasks_of(scene, 1, SHORT)[:3], []
+    one, two = (trainings.make(tasks, jobs, told.append) for jobs in (1, 2))
+    assert [row["sha256"] for row in one] == [row["sha256"] for row in two]
+    assert told == [f"{i} of 3 trainings" for i in (1, 2, 3)] * 2
+
+
+# --- what is always zero -------------------------------------------------------------------------
 @pytest.mark.parametrize("name", ["static", "figure"])
 def test_silent_units_change_no_picture(name, monkeypatch):
     """A model without the units that are always zero is the same function, and its file smaller."""
@@ -141,18 +174,14 @@ def test_silent_units_change_no_picture(name, monkeypatch):
 
 
 @pytest.mark.slow
-def test_static_needs_less_than_with_everything_on(tmp_path):
-    """Bytes, counted work and quality of `static`, a tenth of a training, over two seeds."""
-    scene, psnr = load_scene("static"), []
-    everything = replace(scene, effects=MODEL_EFFECTS)
-    listed = methods.plan({OURS: [{}]}, [OURS], [scene], tmp_path, 2, TINY.iterations // 10)
-    for task in listed:
-        pair = [task, task._replace(scene=everything, step="all")]
-        methods.make_missing(pair)
-        few, full = effect_ledger.made(pair)
-        on = [{e for e in MODEL_EFFECTS if row.get(f"work_{e}")} for row in (few, full)]
-        assert on == [set(scene.effects), set(MODEL_EFFECTS)]
+def test_static_needs_less_than_with_everything_on():
+    """Bytes and quality of `static`, a tenth of a training, over two seeds."""
+    scene, preset = load_scene("static"), trainings.reduced(TINY.iterations // 10)
+    builds = scene, replace(scene, effects=MODEL_EFFECTS)
+    psnr = []
+    for seed in (0, 1):
+        few, full = (trainings.train(("", build, preset, seed)) for build in builds)
         assert few["bytes"] <= 0.6 * full["bytes"]
-        psnr.append([row["psnr_db"] for row in (few, full)])
+        psnr.append([few["psnr_db"], full["psnr_db"]])
     few, full = np.array(psnr).T
     assert np.mean(full - few) <= max(np.ptp(few), np.ptp(full), 1.0)

@@ -7,7 +7,7 @@ import pytest
 
 from p4dgs_ref.lab.stability import FILE, hard_cases
 from p4dgs_ref.oracle.published import cases, flatten
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations import rules
 from tests.golden import demo, sixty_digits
 from tests.golden.cases import FLAGS, cases_of

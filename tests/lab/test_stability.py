@@ -10,7 +10,7 @@ from p4dgs_ref.__main__ import main
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations.rules import altered
 from tests.golden.hard_cases import catalogue
 
@@ -120,6 +120,15 @@ def test_an_outlier_comes_back(formula, comes_back):
 
 
 # --- the map -------------------------------------------------------------------------------------
+def test_the_map_shows_both_sides_of_the_mean(monkeypatch):
+    figures = []
+    monkeypatch.setattr(stability, "save_figure", lambda figure, path: figures.append(figure))
+    stability.draw_front(None)
+    axes, *_ = figures[0].axes
+    assert axes.get_ylim() == (-1000, 1000) and axes.get_title() == "as printed, float64"
+    shown = axes.collections[0].get_array() > stability.LEVELS[1]  # red
+    below, above = np.split(shown, 2)
+    assert 0.2 < below.mean() < 0.25 and 0.33 < above.mean() < 0.35
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from p4dgs_ref.cli import lab as commands
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab import suggest
@@ -189,13 +190,18 @@ def folder(tmp_path):
     return copy
 
 
-def run(line):
-    return cli.run(line.split(), 0.0)
+@pytest.fixture
+def run(monkeypatch):
+    """The command line, in one process."""
+    monkeypatch.setattr(commands, "JOBS", 1)
+    return lambda line: cli.run(line.split(), 0.0)
 
 
-def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys):
+def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, run, capsys):
     quick.update(occlusion=9.0)
-    assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
+    assert run(f"effects {folder} --suggest --apply") == 2
+    assert "--yes: expected for short trainings" in capsys.readouterr().err
+    assert run(f"effects {folder} --suggest --apply --yes") == 0
     assert "written to" in capsys.readouterr().out
     listed = ("occlusion", "background")
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == {
@@ -204,6 +210,6 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, capsys)
     assert load_scene(folder).effects == listed
     described_as = {"title": "mine", "effects": ["background", "texture"], "bodies": []}
     (folder / "scene.json").write_text(json.dumps(described_as), encoding="utf-8")
-    assert run(f"effects {folder} --suggest --apply --jobs 1") == 0
+    assert run(f"effects {folder} --suggest --apply --yes") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == kept

@@ -15,7 +15,7 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, report, safetensors
 from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests import processes
 from tests.golden.vectors import damaged
 from tests.oracle.answers import Port, broken, right, write

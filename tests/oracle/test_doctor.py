@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from p4dgs_ref import oracle
+from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.oracle import checker, doctor, published, tolerance
 from p4dgs_ref.oracle.compare import compare, expected
-from p4dgs_ref.table import EQUATIONS
 from tests.golden import checks
 from tests.golden.kill_matrix import laboratory
 from tests.golden.mutate import applied, mutations

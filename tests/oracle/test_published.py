@@ -12,7 +12,7 @@ import pytest
 
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import checker, published, safetensors
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import FLAGS
 from tests.golden.mistakes import MISTAKES
 from tests.golden.subjects import lacking, subjects

@@ -6,8 +6,8 @@ these subjects, because `test_published.py` compares their code with it.
 
 import numpy as np
 
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.splatting.settings import EXACT
-from p4dgs_ref.table import EQUATIONS
 from tests.golden import pipeline
 from tests.golden.cases import FLAGS
 from tests.golden.flat import camera_of

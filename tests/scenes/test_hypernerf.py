@@ -8,9 +8,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.designs import choose
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import read_points_for
+from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
 from tests.scenes.refusals import refuse
 
@@ -88,7 +88,7 @@ def folder(tmp_path):
 def test_views_of_nerf_ds(folder):
     scene = load_scene(folder)
     assert [view.name for view in scene.train] == LEFT
-    assert [view.name for view in scene.test] == RIGHT and scene.val == ()
+    assert [view.name for view in scene.test] == RIGHT
     for views in (scene.train, scene.test):
         assert [view.time for view in views] == [0, 2 / 6, 4 / 6, 1]
     view = scene.test[1]
@@ -206,13 +206,12 @@ def test_anchors_start_from_the_points(folder, tmp_path):
     wanted = np.unique(np.round((POINTS - CENTER) * SCALE, 3), axis=0)
     started = Trainer(scene, preset).parameters["x_a"]
     np.testing.assert_allclose(started, wanted, atol=2e-3)
-    lines = [f"{i} {x} {y} {z} 9 9 9 0.5 1 2 3 4" for i, (x, y, z) in enumerate(POINTS[:3])]
-    (tmp_path / "points3D.txt").write_text("# of COLMAP\n" + "\n".join(lines), encoding="utf-8")
-    others = read_points_for(scene, tmp_path / "points3D.txt")
+    np.save(tmp_path / "few.npy", POINTS[:3])
+    others = read_points_for(scene, tmp_path / "few.npy")
     np.testing.assert_allclose(others, (POINTS[:3] - CENTER) * SCALE, atol=1e-12)
     assert len(Trainer(scene, preset, points=others).parameters["x_a"]) == 3
     static = load_scene("static")
-    np.testing.assert_array_equal(read_points_for(static, tmp_path / "points3D.txt"), POINTS[:3])
+    np.testing.assert_array_equal(read_points_for(static, tmp_path / "few.npy"), POINTS[:3])
 
 
 VIEW = f"camera/{LEFT[1]}.json"

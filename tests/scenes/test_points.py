@@ -1,7 +1,6 @@
-"""Point clouds from .npy files, binary .ply files and COLMAP's points3D.txt and .bin."""
+"""Point clouds from .npy files and binary .ply files."""
 
 import io
-import struct
 
 import numpy as np
 import pytest
@@ -22,43 +21,22 @@ element face 1
 property list uchar int vertex_indices
 end_header
 """
-BIG = LITTLE.replace("little", "big")
 
 
-def binary(order, points=POINTS):
-    kind = np.dtype([("red", "u1"), *((axis, order + "f4") for axis in "xyz")])
+def binary(points=POINTS):
+    kind = np.dtype([("red", "u1"), *((axis, "<f4") for axis in "xyz")])
     rows = np.array([(7, *point) for point in points], kind)
     return rows.tobytes() + b"\x03\x00\x00\x00\x00"
 
 
-def points3d(points=POINTS, tracks=(0, 1, 3, 0)):
-    """COLMAP's points3D.bin: the number of points, then field by field of each."""
-    return struct.pack("<Q", len(points)) + b"".join(
-        struct.pack("<Q", 7 + i)  # POINT3D_ID
-        + struct.pack("<3d", *point)
-        + bytes((9, 10, 11))  # R, G, B
-        + struct.pack("<d", 0.5)  # ERROR
-        + struct.pack("<Q", track)
-        + struct.pack("<ii", 3, 4) * track  # IMAGE_ID and POINT2D_IDX
-        for i, (point, track) in enumerate(zip(points, tracks))
-    )
-
-
 def test_every_form_of_file_gives_the_same_points(tmp_path):
-    (tmp_path / "points3D.bin").write_bytes(points3d())
-    (tmp_path / "l.ply").write_bytes(LITTLE.encode() + binary("<"))
-    (tmp_path / "b.ply").write_bytes(BIG.encode() + binary(">"))
+    (tmp_path / "l.ply").write_bytes(LITTLE.encode() + binary())
     np.save(tmp_path / "n.npy", POINTS)
     np.save(tmp_path / "f.npy", POINTS.astype(np.float32))
-    tracks = ("", " 1 2", " 3 4 5 6", "")
-    lines = [f"7 {x!r} {y!r} {z!r} 9 9 9 0.5" for x, y, z in POINTS.tolist()]
-    text = "# COLMAP\n" + "".join(line + track + "\n" for line, track in zip(lines, tracks))
-    (tmp_path / "points3D.txt").write_text(text, encoding="utf-8-sig", newline="\r\n")
-    (tmp_path / "crlf.ply").write_bytes(LITTLE.replace("\n", "\r\n").encode() + binary("<"))
+    (tmp_path / "crlf.ply").write_bytes(LITTLE.replace("\n", "\r\n").encode() + binary())
     np.save(tmp_path / "h.npy", POINTS.astype(np.float16))
-    whole = dict.fromkeys(("n.npy", "points3D.txt", "points3D.bin"), np.float64)
-    single = dict.fromkeys(("l.ply", "b.ply", "crlf.ply", "f.npy"), np.float32)
-    for name, dtype in (whole | single | {"h.npy": np.float16}).items():
+    single = dict.fromkeys(("l.ply", "crlf.ply", "f.npy"), np.float32)
+    for name, dtype in (single | {"n.npy": np.float64, "h.npy": np.float16}).items():
         assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
 
 
@@ -74,37 +52,23 @@ def header(old="", new=""):
     "name, content, words",
     [
         ("missing.ply", None, ["missing; expected points"]),
-        ("points.obj", b"", [".npy, .ply, .bin, .txt"]),
-        ("points.txt", b"1 2 3", ["read", "points3D.txt"]),
-        ("x_y_z_r_g_b.txt", b"0.5 1 2 9 9 9\n" * 2, ["read", "points3D.txt"]),
-        ("normals.txt", b"0.5 1 2 0 0 1 9 9 9\n" * 2, ["POINT3D_ID X Y Z R G B ERROR"]),
-        ("gray.txt", b"1 1 2 3 256 9 9 0.5\n", ["POINT3D_ID X Y Z R G B ERROR"]),
-        ("none.txt", b"# no point\n", ["1 to 4194304 points"]),
-        ("words.txt", b"1 a b c 9 9 9 0.5", ["read", "points3D.txt"]),
+        ("points.obj", b"", [".npy, .ply"]),
         ("empty.ply", b"", ["ply"]),
         ("cut.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n", ["end_header"]),
         ("faces.ply", header("vertex 4", "corner 4"), ["'vertex' as the first"]),
         ("none.ply", b"ply\nformat binary_little_endian 1.0\nend_header\n", ["vertex"]),
         ("flat.ply", header("property float y\n") + bytes(36), ["y"]),
         ("list.ply", header("property uchar red", "property list uchar int red"), ["list"]),
-        ("ascii.ply", header("binary_little_endian", "ascii"), ["ascii", "a binary .ply"]),
-        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["a binary .ply"]),
+        ("ascii.ply", header("binary_little_endian", "ascii"), ["little-endian binary"]),
+        ("big.ply", header("little", "big") + binary(), ["little-endian binary"]),
+        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["little-endian binary"]),
         ("half.ply", header() + b"7", ["read"]),
         ("long.ply", header("\nelement", "\ncomment" + "a" * 2**14 + "\nelement"), ["end_header"]),
         ("kind.ply", header("uchar red", "a" * 10**4 + " red"), ["aaa", "a binary .ply"]),
         ("count.ply", header("vertex 4", f"vertex {10**30}"), ["a binary .ply"]),
-        ("nan.ply", header() + binary("<", [[1, np.nan, 3]] * 4), ["finite"]),
+        ("nan.ply", header() + binary([[1, np.nan, 3]] * 4), ["finite"]),
         ("text.npy", b"no array", ["points in a .npy"]),
         ("archive.npy", NPZ.getvalue(), ["read", "points in a .npy"]),
-        ("no.bin", b"", ["byte 8"]),
-        ("none.bin", points3d(()), ["1 to 4194304 points"]),
-        ("cut.bin", points3d()[:-1], ["read", "points3D.txt or .bin"]),
-        ("track.bin", points3d(tracks=(0, 0, 0, 2))[:-1], ["end with its last point, at byte"]),
-        ("more.bin", points3d() + b"7", ["end with its last point, at byte"]),
-        ("few.bin", points3d().replace(b"\4", b"\5", 1), ["read"]),
-        ("many.bin", bytes([255] * 8) + points3d()[8:], ["1 to 4194304 points"]),
-        ("long.bin", points3d()[:51] + bytes([255] * 8) + points3d()[59:], ["read"]),
-        ("nan.bin", points3d([[1, np.nan, 3]]), ["finite"]),
     ],
 )
 def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):

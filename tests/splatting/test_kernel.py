@@ -6,7 +6,7 @@ import pytest
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import fast, loop
-from p4dgs_ref.splatting.settings import PAPER
+from p4dgs_ref.splatting.settings import KERNEL
 from p4dgs_ref.splatting.tiles import bin_splats
 from tests.golden import kernel
 
@@ -22,7 +22,7 @@ CASE = pytest.mark.parametrize("case", CASES, ids=lambda case: case.id)
 def test_the_renderers_of_the_package_give_these_numbers(case, renderer, dtype):
     i, bars = cast(case.inputs(), np.float64), cast(case.cotangents(), np.float64)
     given = [kernel.definite(i)[name] for name in NAMES]
-    settings = PAPER._replace(dtype=dtype)
+    settings = KERNEL._replace(dtype=dtype)
     (image, T), saved = renderer.forward(*given, i["height"], i["width"], settings)
     outputs = {"out.image": image, "out.transmittance": T}
     gradients = renderer.backward(saved, bars["image_bar"])
@@ -37,5 +37,5 @@ def test_the_lists_are_those_of_the_package(case):
     i = cast(case.inputs(), np.float64)
     mine = kernel.lists(**{name: i[name] for name in kernel.LISTED})
     names = ("mean2d", "cov2d", "conic", "alpha", "depth", "visible", "width", "height")
-    theirs = bin_splats(*(i[name] for name in names), PAPER)
+    theirs = bin_splats(*(i[name] for name in names), KERNEL)
     assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.row)

@@ -161,6 +161,26 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
 
 
+def test_networks_start_upright_and_hardly_move(scene):
+    """Compared with a start from the same random numbers without the preset's changes."""
+    changes = dict(upright=True, deformation_gain=0.01, opacity_bias=0.5)
+    plainly = dict(upright=False, deformation_gain=1.0, opacity_bias=0.0)
+    effects = (*scene.effects, "rotation", "scaling")
+    p, plain = (
+        initial_parameters(preset, design_of(preset, effects), np.random.default_rng(0))
+        for preset in (replace(SMOKE, **change) for change in (changes, plainly))
+    )
+    layer, trunk = len(SMOKE.hidden), len(SMOKE.deformation)
+    turned = (p[f"psi_r.b{layer}"] - plain[f"psi_r.b{layer}"]).reshape(-1, 4)
+    assert np.allclose(turned, [1, 0, 0, 0], atol=1e-6)
+    assert np.allclose(p[f"psi_alpha.b{layer}"] - plain[f"psi_alpha.b{layer}"], 0.5, atol=1e-6)
+    for name in (f"psi_d.{kind}{trunk + head}" for kind in "Wb" for head in range(3)):
+        assert np.allclose(p[name], 0.01 * plain[name], rtol=1e-5), name
+    assert np.array_equal(p["psi_d.W0"], plain["psi_d.W0"])
+    for weights in (plain["psi_d.b0"], p["grid.0"]):
+        assert weights.min() < 0 < weights.max() and abs(weights.mean()) < 0.5 * weights.max()
+
+
 @pytest.mark.parametrize(
     "points", [np.zeros((0, 3)), [], np.zeros((4, 2)), np.zeros(3), np.full((2, 3), np.nan)]
 )
@@ -214,7 +234,7 @@ def test_snap_rounds_to_nearest_and_survives_flat_boxes():
 @pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
 def test_the_seed_decides_the_file(scene):
     short = dict(preset="smoke", stage_ends=SHORT.stage_ends)
-    files = [p4.encode(p4.train(scene, seed=seed, **short)) for seed in (0, 0, 1)]
+    files = [hash(p4.encode(p4.train(scene, seed=seed, **short))) for seed in (0, 0, 1)]
     assert files[0] == files[1], "one seed gave two files"
     assert files[0] != files[2], "two seeds gave one file"
 

@@ -1,0 +1,6 @@
+"""What the project found out for itself: experiments, which use the package from outside."""
+
+from pathlib import Path
+
+PICTURES = Path(__file__).parent / "pictures"
+RECORDS = Path(__file__).parent / "records"

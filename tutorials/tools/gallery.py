@@ -51,7 +51,7 @@ def in_few_bytes(figure):
 
 def take(out):
     """Renew those pictures of the gallery whose figures are in the folder `out`."""
-    with output.filled(FOLDER / "pictures") as staging:
+    with output.staged_folder(FOLDER / "pictures") as staging:
         for name, figure in PICTURES.items():
             if (out / figure).is_file():
                 (staging / name).write_bytes(in_few_bytes(out / figure))

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import imageio.v3 as iio
 import numpy as np
 
-from p4dgs_ref.output import made
+from p4dgs_ref.output import writable_folder
 from tutorials.tools.shared import FOLDER, run, write_text
 
 DPI = 100  # of the figures: most are 800 pixels wide
@@ -142,7 +142,10 @@ def make(source):
     """Run a tutorial in a process of its own and write its notebook, whose path is returned."""
     notebook = unrun(source)
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    with made(source.parent / "notebooks") as folder, tempfile.TemporaryDirectory() as beside:
+    with (
+        writable_folder(source.parent / "notebooks") as folder,
+        tempfile.TemporaryDirectory() as beside,
+    ):
         out, result = Path(beside) / "out", Path(beside) / "outputs.json"
         out.mkdir()
         run(source.name, ["-c", START, source.resolve(), result], out)

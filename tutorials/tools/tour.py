@@ -244,7 +244,7 @@ def page(title):
 def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
-        output.filled(shared.FOLDER) as staging,
+        output.staged_folder(shared.FOLDER) as staging,
         PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
     ):
         (staging / "tour").mkdir()

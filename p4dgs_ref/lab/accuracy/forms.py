@@ -11,9 +11,9 @@ from numpy.linalg import norm
 from scipy.special import roots_legendre
 
 from ...equations import likelihood
-from ...random_inputs import cov2d_of, random_splats
 from ...splatting import compositing, fast, loop
-from ...splatting.settings import EXACT, FAST, PAPER
+from ...splatting.settings import EXACT, FAST, KERNEL
+from ..random_inputs import cov2d_of, random_splats
 from . import formulas
 
 GREY_LEVELS = 255
@@ -50,7 +50,7 @@ def renderer():
         "loop": partial(image_of, loop, scene, EXACT),
         "exact": partial(exact_image, scene),
         "fast": partial(image_of, fast, scene, FAST),
-        "3DGS's kernel": partial(image_of, fast, scene, PAPER),
+        "3DGS's kernel": partial(image_of, fast, scene, KERNEL),
     }
     truth = draw["loop"]()
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtr, roots_legendre
 
 from ...equations import likelihood
-from ...equations.likelihood import PHI_0
+from ...equations.likelihood import PHI_0, phi
 
 # Bits and slopes of points of the plane of bins, from 60-digit arithmetic.
 # `python -m tests.golden.likelihood_points` writes them in a checkout.
@@ -50,11 +50,6 @@ def formula_of(log_p_of, folded=True):
     return formula
 
 
-def density(v):
-    """Density of the standard Gaussian."""
-    return PHI_0 * np.exp(-0.5 * v * v)
-
-
 def slopes(at_low, at_high):
     """The slopes of p in z and w, from the densities at the edges."""
     return at_high - at_low, 0.5 * (at_high + at_low)
@@ -63,7 +58,7 @@ def slopes(at_low, at_high):
 def difference(low, high):
     """Eq. (11) as printed, in the precision of the inputs."""
     p = ndtr(high) - ndtr(low)
-    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
+    return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
 
 
 def floored(low, high):
@@ -76,7 +71,7 @@ def floored(low, high):
 def tails(low, high):
     """The difference of the two tails on the bin's side of the mean: no values near one cancel."""
     p = ndtr(-low) - ndtr(-high)
-    return np.log(p), *(slope / p for slope in slopes(density(low), density(high)))
+    return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
 
 
 def lookup_table(entries):
@@ -123,7 +118,7 @@ def truth(z, w):
     log_phi = np.log(PHI_0) - 0.5 * distance * distance
     # Of a bin on one side of the mean the mass itself, of one around the mean the tail before it.
     mass = scaled_mass(distance, np.where(outside, w, np.inf))
-    after = density(high) * scaled_mass(high, np.full_like(w, np.inf))
+    after = phi(high) * scaled_mass(high, np.full_like(w, np.inf))
     with np.errstate(invalid="ignore", divide="ignore"):
         # A bin around the mean: both of its sides if it is short, else one minus both tails.
         sides = PHI_0 * (scaled_mass(0 * z, distance) + scaled_mass(0 * z, high))

@@ -12,8 +12,7 @@ NOTE = (
 STYLE = {"font.size": 10, "axes.titlesize": 11, "axes.titleweight": "bold", "figure.dpi": 100}
 FRONT = ("renderer", "Eq. (11)", "noise", "iterations")  # of the small picture
 SMALLEST = 1e-9  # a smaller error is none
-# Where a label may stand beside its point, in points, and which of its sides is towards it.
-PLACES = ((8, 4, "left"), (-8, 4, "right"), (8, -13, "left"), (-8, -13, "right"), (0, 10, "center"))
+LEFT = ("exact", "mirrored")  # choices with a label to the left, where another one is near
 
 
 def draw_panel(ax, rows, width):
@@ -29,17 +28,17 @@ def draw_panel(ax, rows, width):
     most = max(losses)
     ax.set_ylim(*((0.1 * foot, 10 * most) if is_log else (-0.2 * most, 1.4 * most)))
     for row in rows:
-        is_ours = row["choice"] == question.ours
+        is_ours, is_left = row["choice"] == question.ours, row["choice"] in LEFT
         color, y = RED if is_ours else BLUE, max(row["loss"], foot)
         ax.plot([row["ms_low"], row["ms_high"]], [y, y], color=color)
         ax.plot(row["ms"], y, "*" if is_ours else "o", color=color, markersize=15 if is_ours else 7)
         ax.annotate(
             row["choice"],
             (row["ms"], y),
-            PLACES[0][:2],
+            (-8 if is_left else 8, 4),
             textcoords="offset points",
+            ha="right" if is_left else "left",
             color=color,
-            in_layout=False,  # the panels keep their sizes where labels move
         )
     words = compared(next(row for row in rows if row["choice"] == question.answer), rows[0])
     says = "{question}: {choice} is {faster} as {reference}, {lost}".format(**words)
@@ -49,25 +48,6 @@ def draw_panel(ax, rows, width):
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.grid(True, color="#dddddd")
-    ax.set_axisbelow(True)
-
-
-def place_labels(figure):
-    """Move the labels of points to where they cover neither points nor each other."""
-    from matplotlib.transforms import Bbox
-
-    figure.draw_without_rendering()
-    for ax in (ax for ax in figure.axes if ax.lines):
-        half = 0.05 * figure.dpi
-        points = [ax.transData.transform(text.xy) for text in ax.texts]
-        taken = [Bbox([point - half, point + half]) for point in points]
-        for text in ax.texts:
-            for *text.xyann, side in PLACES:
-                text.set_horizontalalignment(side)
-                box = text.get_window_extent()
-                if ax.bbox.count_contains(box.corners()) == 4 and not box.count_overlaps(taken):
-                    break
-            taken.append(box)
 
 
 @styled(STYLE)
@@ -78,7 +58,6 @@ def draw(path, rows):
         draw_panel(ax, group, 46)
     axes.flat[-1].set_axis_off()
     axes.flat[-1].text(0, 1, fill(f"{NOTE} {disturbed(rows)}", 52), va="top")
-    place_labels(figure)
     save_figure(figure, path)
 
 
@@ -90,5 +69,4 @@ def draw_front(path, rows):
         draw_panel(ax, by_question(rows)[name], 40)
         ax.set_xlabel("")
         ax.set_ylabel(QUESTIONS[name].unit)
-    place_labels(figure)
     save_figure(figure, path)

@@ -38,8 +38,7 @@ def reduced(iterations, preset=TINY, **changes):
 def train(task):
     """The row of one training, of a task (label, scene, preset, seed)."""
     label, scene, preset, seed = task
-    with np.errstate(all="ignore"):  # the trainer itself looks for overflows
-        model, (seconds, _) = clocked(Trainer(scene, preset, seed).run)
+    model, (seconds, _) = clocked(Trainer(scene, preset, seed).run)
     data = encode(model)
     return {
         "label": label,
@@ -85,7 +84,7 @@ def points(rows):
     """What a panel shows of some rows: {length: the seconds, and the dB lost to the longest}."""
     of, found = grouped(rows, "iterations"), {}
     for (n,), group in of.items():
-        best = of[max(LENGTHS),]
+        best = of[max(of)]
         lost = [longest["psnr_db"] - row["psnr_db"] for longest, row in zip(best, group)]
         low, median, high = 1e3 * np.percentile([row["seconds"] for row in group], (25, 50, 75))
         found[f"{n:,}"] = {

@@ -15,7 +15,7 @@ from ...lessons import problem
 from ...oracle import published, tolerance
 from ...oracle.compare import change_floats, compare, expected
 from ...oracle.ports import PortError
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from ..writer import text_table
 from .room import files_of, keys_of, parts_of, stub, text_of
 from .similar import pairs, statements, unusual

@@ -7,15 +7,15 @@ DIR/key/          the complete files, which stay with the teacher
 
 import ast
 import inspect
-from importlib import import_module
 from pathlib import Path
 
 from ...lessons import tutorial_of
-from ...limits import MAX_STUDENT_BYTES
 from ...oracle.report import name_of
-from ...output import filled
-from ...table import EQUATIONS
+from ...output import staged_folder
+from ...splatting.table import EQUATIONS
 from .. import StudyError, entry
+
+MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the key has 6,000
 
 
 def hand_out(folder, only=None):
@@ -41,7 +41,7 @@ def hand_out(folder, only=None):
     files = {"README.md": TEACHER, "student/README.md": STUDENT + rows}
     for key in new:
         files |= {f"student/{key}.py": stub(key), f"key/{key}.py": source_of(key)}
-    with filled(folder) as staging:
+    with staged_folder(folder) as staging:
         for name, text in files.items():
             (staging / name).parent.mkdir(exist_ok=True)
             (staging / name).write_text(text, encoding="utf-8")
@@ -87,7 +87,7 @@ def text_of(path):
 # --- the files that students get ------------------------------------------------------------------
 def source_of(key):
     """Return the complete file of an equation."""
-    return inspect.getsource(import_module(EQUATIONS[key].module))
+    return inspect.getsource(EQUATIONS[key].module)
 
 
 def parts_of(key):

@@ -20,7 +20,7 @@ import numpy as np
 from ...lessons import WrongForm, gradients_of, outputs_of
 from ...oracle.adapter import Adapter, packed, unpacked
 from ...oracle.published import Golden, flatten
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from .room import text_of
 
 CASE_SECONDS = 5
@@ -66,7 +66,7 @@ def lock(key):
     """
     for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
-    reference = import_module(EQUATIONS[key].module)
+    reference = import_module(EQUATIONS[key].module.__name__)
     delattr(sys.modules[reference.__package__], key)
     del sys.modules[reference.__name__]
     sys.meta_path.insert(0, Lock)
@@ -79,11 +79,10 @@ def load(path):
     """
     path = Path(path)
     eq = EQUATIONS[path.stem]
-    module = ModuleType(f"{eq.module}_of_a_student")
-    module.__package__, module.__file__ = eq.module.rpartition(".")[0], str(path)
+    module = ModuleType(f"{eq.module.__name__}_of_a_student")
+    module.__package__, module.__file__ = eq.module.__package__, str(path)
     exec(compile(text_of(path), str(path), "exec"), module.__dict__)
-    sys.modules[module.__name__] = module
-    return eq._replace(module=module.__name__)
+    return eq._replace(module=module)
 
 
 def end_after(parent):
@@ -124,8 +123,9 @@ def answer(eq, request):
     pair = eq.forward(**case.inputs())
     if not isinstance(pair, tuple) or len(pair) != 2:
         raise WrongForm("expected a pair, the output and what backward needs")
-    values, role = outputs_of(pair[0], eq.outputs), "out"
-    if request["subject"] == "backward":
+    if request["subject"] == "forward":
+        values, role = outputs_of(pair[0], eq.outputs), "out"
+    else:
         values, role = (
             gradients_of(eq.backward(pair[1], **case.cotangents()), eq.gradients),
             "in_bar",

@@ -29,7 +29,7 @@ import numpy as np
 from ...oracle import published
 from ...oracle.compare import cast
 from ...report.figures import save_figure, styled, subplots
-from ...table import EQUATIONS
+from ...splatting.table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
 from ..writer import text_table

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...output import filled, new_file
+from ...output import new_file, staged_folder
 from ...splatting.camera import look_at
 from ..dnerf import OPENGL_TO_OPENCV
 from ..files import write_image
@@ -37,38 +37,34 @@ def simulate(
     source = None if isinstance(scene_json, dict) else Path(scene_json)
     text = source.read_text(encoding="utf-8") if source else json.dumps(scene_json, indent=1) + "\n"
     views = {split: place_cameras(description, split) for split in ("train", "test")}
-    named = [
-        (f"{split}/r_{i:03d}.png", *view)
-        for split, posed in views.items()
-        for i, view in enumerate(posed)
-    ]
-    with new_file(Path(out_dir) / "scene.json", source), filled(out_dir) as folder:
+    total, done = sum(map(len, views.values())), 0
+    with new_file(Path(out_dir) / "scene.json", source), staged_folder(out_dir) as folder:
         (folder / "scene.json").write_text(text, encoding="utf-8")
         for split, posed in views.items():
             (folder / split).mkdir()
             (folder / f"transforms_{split}.json").write_text(
                 transforms(split, posed), encoding="utf-8"
             )
-        for done, (name, camera, t) in enumerate(named, 1):
-            pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
-            write_image(folder / name, pixels, optimize=True)
-            progress(done, len(named))
+            for i, (camera, t) in enumerate(posed):
+                pixels = np.rint(trace.trace(description, camera, t) * 255).astype(np.uint8)
+                write_image(folder / split / f"r_{i:03d}.png", pixels, optimize=True)
+                done += 1
+                progress(done, total)
 
 
-def place_cameras(description, split, shift=0.5):
+def place_cameras(description, split):
     """The (camera, time) of every view of a split, in the order of time.
 
-    Training views are at even times from 0 to 1, test views half-way between even times; another
-    `shift` than half a step gives further views. Cameras of the kind `scattered` step on by the
-    golden angle, so that neighbours in time see the scene from very different sides. The kind
-    `orbit` moves the training camera smoothly and scatters the test cameras.
+    Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
+    the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
+    very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
+    cameras.
     """
     paths, n = description.cameras, getattr(description.cameras, split)
     low, high = paths.elevation
     posed = []
     for i in range(n):
-        t = i / max(n - 1, 1) if split == "train" else (i + shift) / n
-        step = i if split == "train" else i + shift
+        step, t = (i, i / max(n - 1, 1)) if split == "train" else (i + 0.5, (i + 0.5) / n)
         azimuth, height = GOLDEN * step % 1, (0.5 + PLASTIC * step) % 1
         if paths.kind == "orbit" and split == "train":
             azimuth, height = paths.turns * t, 0.5 + 0.5 * math.sin(4 * math.pi * t)
@@ -124,9 +120,5 @@ def transforms(split, posed):
         }
         for i, (camera, t) in enumerate(posed)
     ]
-    return (
-        json.dumps(head)[:-1]
-        + ',\n "frames": [\n  '
-        + ",\n  ".join(map(json.dumps, frames))
-        + "]}\n"
-    )
+    rows = ",\n  ".join(map(json.dumps, frames))
+    return f'{json.dumps(head)[:-1]},\n "frames": [\n  {rows}]}}\n'

@@ -89,7 +89,7 @@ def capsule_normal(shape, p):
 
 def checker(texture, p):
     """0 or 1, alternating from cell to cell; the origin of the body is a corner of cells."""
-    return np.floor(p[:, texture.axes] / texture.cell).sum(axis=1) % 2
+    return np.floor(p[:, : len(texture.axes)] / texture.cell).sum(axis=1) % 2
 
 
 def stripes(texture, p):

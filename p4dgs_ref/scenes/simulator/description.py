@@ -10,8 +10,18 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ...limits import MAX_COORDINATE
-from ..fields import REQUIRED, choice, fields, list_of, numbers, one_of, require, text, typed
+from ..fields import (
+    MAX_COORDINATE,
+    REQUIRED,
+    choice,
+    fields,
+    list_of,
+    numbers,
+    one_of,
+    require,
+    text,
+    typed,
+)
 from ..files import read_json
 from ..scene import COLOR, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
@@ -53,7 +63,7 @@ TEXTURES = {
     "checker": {
         "color": (COLOR, REQUIRED),
         "cell": (POSITIVE, REQUIRED),
-        "axes": (partial(choice, table={"xy": [0, 1], "xyz": [0, 1, 2]}), [0, 1, 2]),
+        "axes": (partial(choice, words=("xy", "xyz")), "xyz"),
     },
     "stripes": {
         "color": (COLOR, REQUIRED),

@@ -1,15 +1,8 @@
-"""One small scene, and each method trained once on it."""
+"""Each method trained once on the small scene."""
 
 import pytest
 
-from p4dgs_ref.scenes import load_scene
-
 from .small import MODULES, SMALL
-
-
-@pytest.fixture(scope="session")
-def scene():
-    return load_scene("bouncing", downscale=4)
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.lab.baselines import d3dgs, gaussian4d, hexplane
 from p4dgs_ref.training.parameters import Parameters
+from tutorials.experiments.baselines import d3dgs, gaussian4d, hexplane
 
 MODULES = {"d3dgs": d3dgs, "hexplane": hexplane, "gaussian4d": gaussian4d}
 SMALL = {
     "d3dgs": replace(
-        d3dgs.TINY_SMALL,
+        d3dgs.SMALL,
         gaussians=40,
         deformation=(9, 8, 7),
         skip=True,
@@ -21,14 +21,12 @@ SMALL = {
         iterations=30,
         warm_up=10,
         sh_every=10,
-        x_until=30,
         grow_from=5,
         grow_every=10,
         grow_until=25,
-        reset_every=20,
     ),
     "hexplane": replace(
-        hexplane.TINY,
+        hexplane.Preset(),
         gaussians=40,
         iterations=30,
         warm_up=10,
@@ -41,10 +39,9 @@ SMALL = {
         grow_from=5,
         grow_every=10,
         grow_until=25,
-        reset_every=100,
     ),
     "gaussian4d": replace(
-        gaussian4d.TINY,
+        gaussian4d.Preset(),
         gaussians=40,
         most=50,
         iterations=60,

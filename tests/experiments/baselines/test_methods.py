@@ -1,26 +1,63 @@
-"""What all methods share: gradients of pipeline and loss, training, files."""
+"""The methods: their pipelines against loops, gradients of the loss, density control, files."""
 
 from dataclasses import replace
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from p4dgs_ref.cli import parser as cli
-from p4dgs_ref.lab import baselines
 from p4dgs_ref.report.evaluate import evaluate
-from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.training.watch import NotFinite
+from tutorials.experiments import baselines
+from tutorials.experiments.baselines import explicit, four_ways_to_move, plane_features
 
-from .small import MODULES, SMALL, random_parameters
+from .small import MODULES, SMALL, model_of, random_parameters
 
 EVERY = pytest.mark.parametrize("method", MODULES)
-WAITING = ("psi", "planes")  # arrays that take part once the Gaussians move
+X_C, T = np.array([2.0, 1.0, -1.0]), 0.7
 
 
-def slope(values, h):
-    """The difference quotient of values at +h and -h."""
-    return (values[0] - values[1]) / (2 * h)
+def test_d3dgs_against_a_loop():
+    p = random_parameters("d3dgs", 3)
+    g = model_of("d3dgs", p).predict(T, X_C)[0]
+    time = [T, np.sin(T), np.cos(T), np.sin(2 * T), np.cos(2 * T)]
+    (W, b), (V, c) = p.network("psi_t"), p.network("psi_d")
+    for n, x in enumerate(p["x"]):
+        seen = np.maximum(time @ W[0] + b[0], 0) @ W[1] + b[1]
+        inputs = np.concatenate([x, np.sin(x), np.cos(x), seen])
+        hidden = np.maximum(np.maximum(inputs @ V[0] + c[0], 0) @ V[1] + c[1], 0)
+        hidden = np.maximum(np.concatenate([inputs, hidden]) @ V[2] + c[2], 0)
+        delta_x, delta_s, delta_r = (hidden @ V[i] + c[i] for i in (3, 4, 5))
+        r = p["raw_r"][n] / np.linalg.norm(p["raw_r"][n]) + delta_r
+        assert g.x[n] == pytest.approx(x + delta_x, rel=1e-12)
+        assert g.s[n] == pytest.approx(np.exp(p["log_s"][n]) + delta_s, rel=1e-12)
+        assert g.r[n] == pytest.approx(r / np.linalg.norm(r), rel=1e-12)
+
+
+def test_hexplane_against_a_loop():
+    p = random_parameters("hexplane", 3)
+    g = model_of("hexplane", p).predict(T, X_C)[0]
+    features, _ = plane_features.forward(p["x"], T, *p["box"], p.listed("planes"))
+    W, b = p.network("psi")
+    for n, x in enumerate(p["x"]):
+        h = np.maximum(np.maximum(features[n] @ W[0] + b[0], 0) @ W[1] + b[1], 0)
+        delta_x, delta_log_s, delta_raw_r = (
+            np.maximum(h @ W[i] + b[i], 0) @ W[i + 1] + b[i + 1] for i in (2, 4, 6)
+        )
+        r = p["raw_r"][n] + delta_raw_r
+        assert g.x[n] == pytest.approx(x + delta_x, rel=1e-12)
+        assert g.s[n] == pytest.approx(np.exp(p["log_s"][n] + delta_log_s), rel=1e-12)
+        assert g.r[n] == pytest.approx(r / np.linalg.norm(r), rel=1e-12)
+
+
+def test_gaussians_that_have_faded_are_not_rendered():
+    p = random_parameters("gaussian4d", 3, N=80)
+    p["log_s_t"][...] -= 1
+    model = model_of("gaussian4d", p)
+    seen = model.predict(T, X_C)[0].index
+    assert 0 < len(seen) < 80 and 79 not in seen
+    p["mu_t"][...] = T
+    assert len(model.predict(T, X_C)[0].index) == 80
 
 
 @pytest.mark.parametrize(
@@ -33,11 +70,8 @@ def test_gradients_of_the_loss(scene, method, iteration):
     trainer.start(random_parameters(method, 4))
     trainer.iteration, p, view = iteration, trainer.parameters, scene.train[3]
     p["log_s"][...] = -1.5
-    losses, seen, gradients, _ = trainer.gradients_of(view)
-    further = trainer.around(p).regularise(p.zeros(), iteration)
-    assert losses.L_total == pytest.approx(losses.L_render + further) and losses.L_render > 0
-    assert (further > 0) == (method == "hexplane" and iteration >= 10)
-    assert len(seen.alpha) == 9 and (len(seen.index) < 9) == (method == "gaussian4d")
+    losses, _, gradients, _ = trainer.gradients_of(view)
+    assert (losses.L_total > losses.L_render) == (method == "hexplane" and iteration >= 10)
     rng = np.random.default_rng(6)
     skipped = ("psi_d.W0", "psi_d.W2", "box")  # psi_d reads E(x) there, see `random_parameters`
     for name in set(p.arrays) - set(skipped):
@@ -46,83 +80,97 @@ def test_gradients_of_the_loss(scene, method, iteration):
             p[name][...] = start + step * d
             values.append(trainer.gradients_of(view)[0].L_total)
         p[name][...] = start
-        ours = float((gradients[name] * d).sum())
-        assert ours == pytest.approx(slope(values, h), rel=2e-5, abs=1e-9), name
-
-
-# iteration -> {array: rate}; "extent" marks multiples of the extent of the cameras.
-PAPER = {
-    "d3dgs": {
-        0: {"x": 8e-4, "psi_d": 0, "psi_t": 0},
-        15_000: {"x": 8e-5, "sh_dc": 0.0025},
-        20_000: {"psi_d": (8e-4 * 1.6e-6) ** 0.5, "psi_t": (8e-4 * 1.6e-6) ** 0.5},
-        39_999: {"x": 8e-6},
-    },
-    "hexplane": {  # rates start anew with the fine stage
-        0: {"x extent": 1.6e-4, "planes": 0, "psi": 0},
-        3000: {"x extent": 1.6e-4},
-        13_000: {"x extent": 1.6e-5, "planes extent": 1.6e-4, "psi extent": 1.6e-5, "box": 0},
-        22_999: {"x extent": 1.6e-6, "sh_dc": 0.0025},
-    },
-    "gaussian4d": {
-        0: {"x extent": 1.6e-4, "mu_t extent": 1.6e-4, "log_s_t": 0.005, "log_s": 0.005},
-        15_000: {"x extent": 1.6e-5, "mu_t extent": 1.6e-4, "raw_l": 0.001, "raw_r": 0.001},
-        30_000: {"x extent": 1.6e-6, "mu_t extent": 1.6e-4},
-    },
-}
-FEW = {"gaussians": 10, "deformation": (4, 4, 4), "time_net": (4, 3), "nodes": 3, "time_nodes": 3}
-
-
-@EVERY
-def test_rates_are_those_of_the_authors(scene, method):
-    preset = MODULES[method].PAPER_SYNTHETIC
-    changes = {name: value for name, value in FEW.items() if hasattr(preset, name)}
-    trainer = MODULES[method].Trainer(scene, replace(preset, **changes))
-    assert 4 < trainer.extent < 5
-    for trainer.iteration, rates in PAPER[method].items():
-        for words, rate in rates.items():
-            name, *extent = words.split()
-            wanted = rate * trainer.extent if extent else rate
-            assert trainer.rate_of(name) == pytest.approx(wanted, rel=1e-3), words
-
-
-@pytest.mark.parametrize("method", ["d3dgs", "hexplane"])
-def test_stages_of_training(scene, method):
-    """Networks and planes wait for their stage, harmonics for their degree."""
-    trainer = MODULES[method].Trainer(scene, replace(SMALL[method], grow_from=10**9))
-    starts = []
-    for iteration in range(30):
-        starts.append({name: a.copy() for name, a in trainer.parameters.arrays.items()})
-        if iteration == 11 and method == "hexplane":
-            assert trainer.adam.steps["x"] == 1  # the fine stage starts with new moments
-        trainer.step()
-    for name in starts[0]:
-        for first, last in ((0, 10), (10, 29)):
-            same = np.array_equal(starts[first][name], starts[last][name])
-            waits = name.startswith((*WAITING, "sh_rest"))
-            assert same == (name == "box" or waits and last == 10), (name, first)
-    rest = trainer.parameters["sh_rest"]
-    assert np.any(rest[:, :, 3:8]) and not np.any(rest[:, :, 8:])
-
-
-def test_presets_by_method():
-    always = baselines.choose("gaussian4d")
-    assert always == MODULES["gaussian4d"].TINY and always.stage(0) == always.stage(99) == 1
-    tiny, small = (baselines.choose(method) for method in ("d3dgs", "d3dgs_small"))
-    assert tiny.deformation == (256,) * 8 and small.deformation == (64, 64)
-    changed = baselines.choose("d3dgs_small", "paper_real", {"lr_x": "0.1,0.01", "skip": "false"})
-    assert changed.time_noise == 0.1 and changed.lr_x == (0.1, 0.01) and not changed.skip
+        wanted = (values[0] - values[1]) / (2 * h)
+        assert (gradients[name] * d).sum() == pytest.approx(wanted, rel=2e-5, abs=1e-9), name
 
 
 @EVERY
 def test_training_is_repeatable_and_learns(scene, trained, method):
     again, start = (MODULES[method].Trainer(scene, SMALL[method], seed=1) for _ in range(2))
+    first = {name: a.copy() for name, a in again.parameters.arrays.items()}
     assert np.array_equal(again.run().parameters.vector, trained[method].parameters.vector)
     ends = [evaluate(model, scene)[0]["psnr_db"] for model in (start.model(), trained[method])]
     assert ends[1] > ends[0] + 1
-    assert trained[method].primitives != SMALL[method].gaussians or method != "gaussian4d"
+    still = [n for n, a in first.items() if np.array_equal(a, again.parameters.arrays[n][: len(a)])]
+    assert still == ["box"] * (method == "hexplane")
 
 
+@pytest.mark.parametrize("method", ["d3dgs", "hexplane"])
+def test_what_moves_waits_for_its_stage(scene, method):
+    trainer = MODULES[method].Trainer(scene, SMALL[method])
+    waiting = [name for name in trainer.parameters.arrays if name.startswith(("psi", "planes"))]
+    first = {name: trainer.parameters[name].copy() for name in waiting}
+    for _ in range(SMALL[method].warm_up):
+        trainer.step()
+    assert all(np.array_equal(trainer.parameters[name], first[name]) for name in waiting)
+    trainer.step()
+    assert trainer.stage == 2 and trainer.adam.steps["x"] == (1 if method == "hexplane" else 11)
+    assert not any(np.array_equal(trainer.parameters[name], first[name]) for name in waiting)
+
+
+def test_nan_is_named(scene):
+    trainer = MODULES["d3dgs"].Trainer(scene, SMALL["d3dgs"])
+    trainer.parameters["sh_dc"][3] = np.nan
+    with np.errstate(all="ignore"), pytest.raises(NotFinite, match="iteration 0: .*is nan"):
+        trainer.step()
+
+
+# --- density control ---
+def test_densify_against_a_loop():
+    preset = replace(SMALL["d3dgs"], gradient_threshold=0.5, percent_dense=0.1, most=75)
+    p, rng = random_parameters("d3dgs", N=60), np.random.default_rng(0)
+    rows = ["x", "sh_dc", "logit_alpha", "log_s"]
+    p["log_s"][...] = np.log(0.3) + 0.7 * rng.normal(size=(60, 3))
+    p["logit_alpha"][...] = 4 * rng.normal(size=60) - 3
+    gradient = rng.random(60)
+
+    def shift(children):
+        children["x"] += 1
+        children["log_s"] -= np.log(2)
+
+    keep, added = explicit.densify(p, rows, gradient, 3.0, preset, shift)
+    kept, clones, children = [], [], []
+    for n in range(60):
+        row = {name: p[name][n] for name in rows}
+        large = np.exp(row["log_s"]).max() > 0.3
+        faint = 1 / (1 + np.exp(-row["logit_alpha"])) < 0.005
+        wanted = gradient[n] >= 0.5 and (gradient > gradient[n]).sum() < 15
+        kept.append(not (wanted and large) and not faint)
+        if wanted and not faint:
+            half = {**row, "x": row["x"] + 1, "log_s": row["log_s"] - np.log(2)}
+            (children if large else clones).extend([half, half] if large else [row])
+    assert keep.tolist() == kept and clones and children
+    for name in rows:
+        assert np.array_equal(added[name], [row[name] for row in clones + children]), name
+
+
+@EVERY
+def test_children_are_drawn_from_their_parent(scene, method):
+    """Their mean is the parent's, and they are smaller by 1.6."""
+    trainer, p = MODULES[method].Trainer(scene, SMALL[method]), random_parameters(method, 8)
+    rows = [name for name in trainer.kind.PROPERTIES if name in p.arrays]
+    children = {name: np.repeat(p[name][:1], 50_000, axis=0) for name in rows}
+    trainer.scatter(children)
+    spread = np.exp(p["log_s"][0]).max()
+    assert children["x"].mean(axis=0) == pytest.approx(p["x"][0], abs=0.03 * spread)
+    assert 0.5 * spread < children["x"].std(axis=0).max() < 1.5 * spread
+    assert children["log_s"][-1] == pytest.approx(p["log_s"][0] - np.log(1.6))
+
+
+def test_new_gaussians_have_zero_moments(scene):
+    preset = replace(SMALL["d3dgs"], gradient_threshold=1e-6, most=99, percent_dense=9.0)
+    trainer, counts = MODULES["d3dgs"].Trainer(scene, preset), []
+    for _ in range(30):
+        before = trainer.primitives
+        trainer.step()
+        if trainer.primitives > before:
+            counts.append(trainer.iteration)
+            assert trainer.adam.first["x"].any() and not trainer.adam.first["x"][-1].any()
+            assert len(trainer.statistics.seen) == trainer.primitives
+    assert counts and set(counts) <= {10, 20}
+
+
+# --- files, and the page ---
 @EVERY
 def test_the_file_is_read_back(scene, trained, tmp_path, method):
     """62 floats of 3DGS a Gaussian, or 161 of 4DGS, which has no normals and no network."""
@@ -130,24 +178,23 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
     sizes = model.save(path)
     assert sum(sizes.values()) == path.stat().st_size and sizes["other"] < 6000
     assert sizes["gaussians"] == 4 * (161 if method == "gaussian4d" else 62) * model.primitives
-    # Common viewers take every property of a header for one of the vertices.
-    properties = path.read_bytes()[: sizes["other"]].count(b"\nproperty float ")
-    assert sizes["gaussians"] == 4 * properties * model.primitives
-    arrays = model.parameters.arrays
-    floats = sum(a.size for n, a in arrays.items() if n.startswith(("psi", "planes", "box")))
-    assert sizes["network"] == 4 * floats and bool(floats) == (method != "gaussian4d")
     again = baselines.load(path)
-    assert isinstance(again, MODULES[method].Trainer.kind)
-    assert set(again.parameters.arrays) == set(arrays)
-    for name, a in arrays.items():
-        assert np.array_equal(again.parameters[name], a), name
+    assert all(np.array_equal(again.parameters[n], a) for n, a in model.parameters.arrays.items())
     image, other = (m.render(scene.test[0].camera, scene.test[0].time) for m in (model, again))
     assert np.array_equal(image, other) and np.array_equal(again.background, scene.background)
-    assert cli.run(f"render {path} -o {tmp_path / 'views'} --scene bouncing".split(), 0.0) == 0
-    whole = load_scene("bouncing").test[0]  # the command draws views in their full size
-    drawn, want = (
-        iio.imread(tmp_path / "views" / "test_r_000.png") / 255,
-        again.render(whole.camera, whole.time),
-    )
-    np.testing.assert_allclose(drawn, np.clip(want, 0, 1), atol=0.501 / 255)
-    assert cli.run(f"render {path} -o {tmp_path / 'held'} --frames 2 --size 8".split(), 0.0) == 0
+    path.write_bytes(b"ply\n")
+    with pytest.raises(ValueError, match="a.ply: "):
+        baselines.load(path)
+
+
+@pytest.mark.parametrize("kind", four_ways_to_move.WAYS.values(), ids=four_ways_to_move.WAYS)
+def test_gradients_of_the_three_ways(kind):
+    page, times = four_ways_to_move, np.linspace(0, 1, 40)
+    way = kind(page.bounce, np.random.default_rng(2))
+    direction = 1e-6 * np.random.default_rng(3).normal(size=way.parameters.vector.size)
+    slope = page.loss(way, times, page.bounce)[1].vector @ direction
+    way.parameters.vector += direction
+    above = page.loss(way, times, page.bounce)[0]
+    way.parameters.vector -= 2 * direction
+    below = page.loss(way, times, page.bounce)[0]
+    assert above - below == pytest.approx(2 * slope, rel=1e-4)

@@ -1,80 +1,83 @@
-"""The simple codec in which every baseline is stored alike."""
+"""The simple codec in which every method is stored alike."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from p4dgs_ref.beyond import positions
-from p4dgs_ref.beyond.networks import step_of_code
-from p4dgs_ref.lab import baselines
-from p4dgs_ref.lab.baselines import coded, coded_anchors
-from p4dgs_ref.lab.tables import methods
+from p4dgs_ref.training.presets import SMOKE
+from p4dgs_ref.training.trainer import Trainer
+from tutorials.experiments import baselines
+from tutorials.experiments.coded_networks.networks import step_of_code
+from tutorials.experiments.equal_terms import coded, coded_anchors, half
 
-from .small import MODULES
+from ..baselines.small import MODULES, SMALL
 
 LOSS = 1e-4
 
 
+@pytest.fixture(scope="module")
+def models(scene):
+    """A model of each method after its training."""
+    found = {name: MODULES[name].Trainer(scene, SMALL[name], seed=1).run() for name in MODULES}
+    return {**found, "anchors": Trainer(scene, SMOKE).run()}
+
+
 @pytest.fixture(scope="module", params=[*MODULES, "anchors"])
-def files(request, scene, trained, short_model):
-    """A model, its sensitivity, its file and the Parameters in that file."""
-    model = {"anchors": coded_anchors.OfAnchors(short_model), **trained}[request.param]
-    H = coded.sensitivity(model, scene.train[::4], np.random.default_rng(0))
-    data, sizes = coded.encode(model, H, LOSS)
-    return model, H, data, sizes, coded.decode(data)[0]
-
-
-def in_file_order(model, H):
-    """The numbers of a model's arrays {name: array}, Gaussians in the order of the file."""
-    x, box = model.parameters["x"], model.box
-    bits = coded.bits_for(box, coded.step_for(LOSS, H["x"]))
-    places, _ = positions.snap(x, *box, bits)
-    order = np.argsort(positions.codes_of(places, box, bits), kind="stable")
-    rows = model.values()["rows"]
-    return {n: a[order] if n in rows else a for n, a in model.parameters.arrays.items()}
+def files(request, scene, models):
+    """A model, its form for the codec, its sensitivity, its file, and the model in that file."""
+    model = models[request.param]
+    form, codec = model, coded
+    if request.param == "anchors":
+        form, codec = coded_anchors.OfAnchors(model), coded_anchors
+    H = coded.sensitivity(form, scene.train[::4], np.random.default_rng(0))
+    data, sizes = codec.encode(model, H, LOSS)
+    decoded = codec.decode(data)
+    again = decoded if codec is coded_anchors else baselines.model_of(*decoded)
+    return model, form, H, (data, sizes, codec), again
 
 
 def test_every_number_comes_back_within_half_its_step(files):
-    model, H, _, _, decoded = files
-    arrays, (low, high) = in_file_order(model, H), model.box
-    assert decoded.arrays.keys() == arrays.keys()
-    cell = (high - low) / (2.0 ** coded.bits_for(model.box, coded.step_for(LOSS, H["x"])) - 1)
-    assert (np.abs(arrays.pop("x") - decoded["x"]) <= 0.51 * cell + 1e-5).all()
-    for name, array in arrays.items():
-        in_columns = name in model.values()["rows"]
-        split = (
-            (lambda a: a.reshape(len(a), -1).T) if in_columns and array.size else (lambda a: [a])
-        )
-        for numbers, others, h in zip(*map(split, (array, decoded[name], H[name]))):
-            step = coded.step_for(LOSS, h, numbers)
-            # The code of a step has 5 bits.
-            assert np.abs(numbers - others).max(initial=0) <= 0.52 * step + 1e-7, name
+    """Also positions, and the networks that draw, of both sides; the order is that of the file."""
+    _, form, H, _, again = files
+    other = coded_anchors.OfAnchors(again) if form is not files[0] else again
+    p, q, box = form.parameters, other.parameters, files[0].box
+    cell = (box[1] - box[0]).max() / (2.0 ** coded.bits_for(LOSS, H["x"], box) - 1)
+    distance = np.abs(p["x"][:, None] - q["x"][None]).max(axis=2).min(axis=1)
+    assert distance.max() <= 0.51 * cell + 1e-5
+    for name in (name for name in p.arrays if name.startswith("psi_d.W") and p[name].size):
+        step = min(coded.step_for(LOSS, H[name]), coded.rms(p[name]))
+        # The code of a step has 5 bits.
+        assert np.abs(p[name] - q[name]).max() <= 0.52 * step + 2.0**-15, name
 
 
 def test_every_byte_is_counted_once(files):
-    _, _, data, sizes, _ = files
-    assert len(data) == sizes["gaussians"] + sizes["network"] + sizes["other"]
+    data, sizes, _ = files[3]
+    assert len(data) == sum(sizes.values()) and sizes["other"] < 700
 
 
-def test_a_file_is_read_and_draws_what_its_model_draws(files, scene, tmp_path):
-    model, _, data, _, _ = files
-    is_explicit = isinstance(model, baselines.explicit.Explicit)
-    endings = methods.ENDINGS if is_explicit else methods.PLAIN_ENDINGS
-    path = tmp_path / f"some.{endings[methods.ALIKE]}"
-    path.write_bytes(data)
-    view, model = scene.test[0], model if is_explicit else model.model
-    images = [one.render(view.camera, view.time) for one in (model, methods.load(path))]
+def test_a_file_draws_what_its_model_draws(files, scene):
+    view = scene.test[0]
+    images = [model.render(view.camera, view.time) for model in (files[0], files[4])]
     assert 0 < np.abs(images[0] - images[1]).mean() < 0.03
 
 
 def test_a_larger_loss_makes_a_smaller_file(files):
-    model, H, data, _, _ = files
-    assert len(coded.encode(model, H, 1000 * LOSS)[0]) < 0.9 * len(data)
+    model, _, H, (data, _, codec), _ = files
+    assert len(codec.encode(model, H, 1000 * LOSS)[0]) < 0.9 * len(data)
 
 
-def test_sensitivity_is_the_squared_derivative_of_the_pixels(scene, trained):
-    model, view, count = trained["d3dgs"], scene.train[1], 150
+def test_a_step_is_at_most_the_size_of_its_weights(models, scene):
+    """However much loss is accepted, a tensor is not rounded to 0."""
+    model = models["d3dgs"]
+    H = coded.sensitivity(model, scene.train[:1], np.random.default_rng(0))
+    network = model.parameters.network("psi_d")
+    for W, code in zip(network[0], coded.codes_of(1e9, H.network("psi_d"), network)[0]):
+        assert step_of_code(code) <= max(1.05 * coded.rms(W), 2.0**-15)
+
+
+def test_sensitivity_is_the_squared_derivative_of_the_pixels(scene, models):
+    model, view, count = models["d3dgs"], scene.train[1], 300
     H = coded.sensitivity(model, [view] * count, np.random.default_rng(1))
     for name in ("sh_dc", "log_s", "logit_alpha"):
         place = np.unravel_index(H[name].argmax(), H[name].shape)
@@ -83,36 +86,29 @@ def test_sensitivity_is_the_squared_derivative_of_the_pixels(scene, trained):
         for h in (1e-2, -1e-2):
             numbers[place] = before + h
             images.append(model.render(view.camera, view.time))
-        numbers[place] = before  # exactly: other tests compare this model bit by bit
+        numbers[place] = before
         expected = (((images[0] - images[1]) / 2e-2) ** 2).sum()
         assert H[name][place] / count == pytest.approx(expected, rel=0.3)
 
 
-def test_sensitivity_of_anchors_is_that_of_what_is_trained(scene, short_model):
-    model, view, count = short_model, scene.train[1], 150
-    rng = np.random.default_rng(1)
-    H = coded.sensitivity(coded_anchors.OfAnchors(model), [view] * count, rng)["log_s"]
-    place, images = np.unravel_index(H.argmax(), H.shape), []
-    for h in (1e-2, -1e-2):
-        s_a = model.anchors.s_a.copy()
-        s_a[place] *= np.exp(h)
-        changed = dataclasses.replace(model, anchors=model.anchors._replace(s_a=s_a))
-        images.append(changed.render(view.camera, view.time))
-    expected = (((images[0] - images[1]) / 2e-2) ** 2).sum()
-    assert H[place] / count == pytest.approx(expected, rel=0.3)
+def test_sensitivity_of_anchors_is_that_of_what_is_trained(scene, models):
+    model, view, count = models["anchors"], scene.train[1], 300
+    form = coded_anchors.OfAnchors(model)
+    H = coded.sensitivity(form, [view] * count, np.random.default_rng(1))
+    for name, field in (("log_s", "s_a"), ("x", "x_a")):
+        place, images = np.unravel_index(H[name].argmax(), H[name].shape), []
+        for h in (1e-3, -1e-3):
+            array = getattr(model.anchors, field).copy()
+            array[place] = array[place] * np.exp(h) if field == "s_a" else array[place] + h
+            changed = dataclasses.replace(model, anchors=model.anchors._replace(**{field: array}))
+            images.append(changed.render(view.camera, view.time))
+        expected = (((images[0] - images[1]) / 2e-3) ** 2).sum()
+        assert H[name][place] / count == pytest.approx(expected, rel=0.3), name
 
 
-def test_steps_of_our_networks_follow_the_pictures(scene, short_model):
-    views, rng = scene.train[:2], np.random.default_rng(0)
-    fine, coarse = (
-        coded_anchors.with_steps(short_model, views, rng, loss) for loss in (1e-8, 1e-6)
-    )
-    codes = [
-        np.concatenate([*one.steps["psi_c"], *one.steps["psi_alpha"]]) for one in (fine, coarse)
-    ]
-    assert (codes[0] < codes[1]).all()
-    assert all(map(np.array_equal, fine.steps["psi_p"], coarse.steps["psi_p"]))
-    # However much loss is accepted, a tensor is not rounded to 0.
-    for name, (codes, _) in coded_anchors.with_steps(short_model, views, rng, 1e9).steps.items():
-        for W, code in zip(short_model.networks[name][0], codes):
-            assert step_of_code(code) <= max(1.05 * coded.rms(W), 2.0**-15), name
+def test_float16(models, scene):
+    data, sizes = half.encode(models["hexplane"])
+    again = baselines.model_of(*half.decode(data))
+    assert len(data) == sum(sizes.values())
+    for name, array in models["hexplane"].parameters.arrays.items():
+        assert again.parameters[name] == pytest.approx(array, rel=1e-3, abs=1e-7)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from p4dgs_ref.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
 
 from . import Case
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from p4dgs_ref.equations.step import SMALLEST
-from p4dgs_ref.random_inputs import random_network
+from p4dgs_ref.lab.random_inputs import random_network
 
 from . import Case
 

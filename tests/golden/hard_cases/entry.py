@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.oracle import tolerance
 from p4dgs_ref.oracle.compare import change_floats
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import Case
 
 DTYPES = ("float64", "float32")

@@ -188,7 +188,7 @@ CAMERAS = [
         "projection-distance",
         "depth is the distance to the camera instead of z",
         {
-            "inverse, z)": "inverse, np.linalg.norm(x_c, axis=1)[:, None])",
+            "center, z, JW": "center, np.linalg.norm(x_c, axis=1)[:, None], JW",
             "z_bar[:, 0] += np.where(visible, depth_bar, 0)": (
                 "away = (np.where(visible, depth_bar, 0) / np.linalg.norm(x_c, axis=1))[:, "
                 "None] * x_c"
@@ -260,7 +260,7 @@ FORMULAS = [
         "projection",
         "projection-covariance-transposed",
         "the covariance is turned by W^T instead of W",
-        {JACOBIAN: "W.T[None, :2] - uv[:, :, None] * W.T[2]", "m_bar @ W[2]": "m_bar @ W.T[2]"},
+        {JACOBIAN: "W.T[None, :2] - uv[:, :, None] * W.T[2]", "JW_bar @ W[2]": "JW_bar @ W.T[2]"},
     ),
     edited(
         "projection",
@@ -269,7 +269,7 @@ FORMULAS = [
         {
             JACOBIAN: "W[None, :2] / np.where(ratio, ratio, 1)[:, :, None] - uv[:, :, None] * W[2]",
             "ratio_bar = uv_bar * inside": (
-                "ratio_bar = uv_bar * inside - (m_bar * W[:2]).sum(axis=2) * focal * z / "
+                "ratio_bar = uv_bar * inside - (JW_bar * W[:2]).sum(axis=2) * focal * z / "
                 "np.where(x_c[:, :2], x_c[:, :2], np.inf) ** 2"
             ),
         },
@@ -280,7 +280,7 @@ FORMULAS = [
         "the third column of the Jacobian has the wrong sign: + f_x u / z",
         {
             JACOBIAN: JACOBIAN.replace("-", "+"),
-            "uv_bar = -(m_bar @ W[2])": "uv_bar = (m_bar @ W[2])",
+            "uv_bar = -(JW_bar @ W[2])": "uv_bar = (JW_bar @ W[2])",
         },
     ),
     edited(
@@ -315,8 +315,8 @@ FORMULAS = [
         "beyond the clamp the gradient of z treats the clamped x as a constant, "
         "as the published kernel does",
         {
-            "(x_c, np.abs(ratio) <= limit,": "((x_c, uv), np.abs(ratio) <= limit,",
-            "x_c, inside, JW,": "(x_c, uv), inside, JW,",
+            "in_front), (x_c,": "in_front), ((x_c, uv),",
+            "x_c, inside, JW, W, focal = saved": "(x_c, uv), inside, JW, W, focal = saved",
             "ratio_bar = uv_bar * inside": (
                 "ratio_bar, z_bar = uv_bar * inside, z_bar - (uv_bar * uv * "
                 "~inside).sum(axis=1, keepdims=True) / z"
@@ -327,14 +327,16 @@ FORMULAS = [
         "projection",
         "projection-mean-gradient-alone",
         "x receives no gradient through the covariance",
-        {"m_bar = m_bar @ (Sigma + Sigma.transpose(0, 2, 1))": "m_bar = 0 * m"},
+        {"m_bar = cov_bar @ m @ (Sigma + Sigma.transpose(0, 2, 1))": "m_bar = 0 * m"},
     ),
     edited(
         "projection",
         "projection-conic-not-inverted",
         "the conic is the covariance itself: it is not inverted",
         {
-            "np.stack([c, -b, a]) / det": "np.stack([a, b, c])",
+            "np.stack([c, -b, a], axis=1) / np.where(visible, det, 1)[:, None]": (
+                "np.stack([a, b, c], axis=1)"
+            ),
             "cov_bar -= K @ halved(conic_bar, visible) @ K": (
                 "cov_bar += halved(conic_bar, visible)"
             ),

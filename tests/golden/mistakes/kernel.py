@@ -36,12 +36,12 @@ RULES = {
     ),
     "kernel-no-stop": (
         "a pixel never ends: there is no stop at T < 1e-4",
-        {"(T * (1 - layer) >= STOP)": "True"},
+        {"open_ &= T * (1 - layer) >= STOP": "pass"},
     ),
     "kernel-stop-after-splat": (
         "the splat that would bring T below 1e-4 is still drawn before the pixel ends",
         {
-            "open_ &= (T * (1 - layer) >= STOP) | (frozen is not None)": "pass",
+            "open_ &= T * (1 - layer) >= STOP": "pass",
             "layer[~open_] = 0": ("layer[~open_], open_ = 0, open_ & (T * (1 - layer) >= STOP)"),
         },
     ),

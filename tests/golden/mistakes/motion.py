@@ -272,10 +272,7 @@ DEFORMED = [
         "deformed-delta-normalised",
         "delta_r is normalised before it is added",
         {
-            "widths) = as_printed(x, s, r, delta_x, delta_s, delta_r)": (
-                "widths) = as_printed(x, s, r, delta_x, delta_s, normalise(delta_r)[0] if "
-                "delta_r.size else delta_r)"
-            ),
+            "moved(r, delta_r)": ("moved(r, normalise(delta_r)[0] if delta_r.size else delta_r)"),
             "(r_t, norm, widths)": "((r_t, delta_r), norm, widths)",
             "r_t, norm, (width_x, width_s, width_r) = saved": (
                 "(r_t, delta_r), norm, (width_x, width_s, width_r) = saved"

@@ -4,10 +4,10 @@ from decimal import Decimal
 
 import numpy as np
 
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.oracle.tolerance import cotangents_of
-from p4dgs_ref.table import EQUATIONS
 
 from .floats import to_float, wrapped
 from .functions import working

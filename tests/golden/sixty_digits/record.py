@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from p4dgs_ref.table import EQUATIONS
+from p4dgs_ref import EQUATIONS
 from tests.golden.cases import cases_of
 
 from .errors import error

@@ -10,45 +10,37 @@ their renderer takes it for a unit quaternion, so that a turn also shears the Ga
 mistake; Eq. (6) normalises.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from p4dgs_ref.equations import deformed
 from p4dgs_ref.model import Gaussians, with_backward
 from p4dgs_ref.training.parameters import random_layers
+
 from . import activations, deformation_d3dgs, explicit
-from .d3dgs_network import deformation_layers
+from .deformation_d3dgs import deformation_layers
 
 HEADS = (3, 3, 4)  # of psi_d: delta_x, delta_s, delta_r
 
 
-# What differs from 3DGS: values in the authors' code for synthetic scenes, and in `tiny`.
-FIELDS = explicit.FIELDS | {
-    "iterations": (40_000, 3800),
-    "warm_up": (3000, 200),
-    "gaussians": (100_000, 800),
-    "deformation": ((256,) * 8, (256,) * 8),
-    "time_net": ((256, 30), (256, 30)),
-    "skip": (True, True),
-    "L_x": (10, 4),
-    "L_t": (6, 4),
-    "deformation_gain": (1.0, 0.01),  # the heads of psi_d start smaller by this factor
-    "time_noise": (0.0, 0.0),  # annealed noise of the time, in steps between views
-    "noise_until": (20_000, 20_000),
-    "x_until": (30_000, 3800),  # when lr_x reaches its last value
-    "lr_x": ((8e-4, 8e-6), (0.002, 2e-4)),  # 1.6e-4, times the 5 that the code takes for the extent
-    "lr_d": ((8e-4, 1.6e-6), (6e-4, 3e-5)),
-}
-Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
-PAPER_REAL = replace(
-    PAPER_SYNTHETIC, name="paper_real", time_net=(), L_t=10, iterations=20_000, time_noise=0.1
-)
-# The network of our own preset `tiny`: two layers of 64, no time net, no skip.
-TINY_SMALL = replace(
-    TINY, name="tiny_small", deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4)
-)
-PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY, TINY_SMALL)}
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """The authors' network, which has eight layers of 256 and one for the time."""
+
+    warm_up: int = 200
+    deformation: tuple = (256,) * 8
+    time_net: tuple = (256, 30)
+    skip: bool = True
+    L_x: int = 4
+    L_t: int = 4
+    deformation_gain: float = 0.01  # the heads of psi_d start smaller by this factor
+    lr_x: tuple = (0.002, 2e-4)
+    lr_d: tuple = (6e-4, 3e-5)
+
+
+# The network of the paper's preset `tiny`: two layers of 64, no time net, no skip.
+SMALL = Preset(deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4))
 
 
 class D3DGS(explicit.Explicit):
@@ -109,20 +101,3 @@ class Trainer(explicit.Trainer):
 
     kind = D3DGS
     RATES = {**explicit.Trainer.RATES, "psi_d": "lr_d", "psi_t": "lr_d"}
-
-    def schedule(self, name):
-        """That of positions ends before the others."""
-        until = self.preset.x_until if name == "x" else self.preset.iterations
-        return self.iteration, until
-
-    def time_of(self, view):
-        """The time of a view with noise that fades (AST), so that motion between views is smooth.
-
-        A step between views is 1 over their number. The authors divide by the number of views that
-        are still to be visited in this round, so that the last ones get noise of any size.
-        """
-        preset = self.preset
-        if not preset.time_noise:
-            return view.time
-        fading = max(0.0, 1 - self.iteration / preset.noise_until)
-        return view.time + self.rng.normal() * preset.time_noise * fading / len(self.scene.train)

@@ -12,6 +12,21 @@ import numpy as np
 from p4dgs_ref.equations import mlp, positional_encoding
 
 
+def deformation_layers(L_x, L_t, widths, heads, time_net=(), skip=False):
+    """The shapes of psi_d, which ends with its heads, and of psi_t where there is a time net."""
+    time = (1 + 2 * L_t, *time_net)
+    inputs = 3 * (1 + 2 * L_x) + time[-1]
+    trunk = [*zip((inputs, *widths), widths)]
+    if skip:
+        after = len(trunk) // 2 + 1
+        rows, columns = trunk[after]
+        trunk[after] = inputs + rows, columns
+    layers = {"psi_d": trunk + [(widths[-1], head) for head in heads]}
+    if time_net:
+        layers["psi_t"] = [*zip(time[:-1], time[1:])]
+    return layers
+
+
 def forward(
     x,  # [N, 3]  canonical centres (scene units)
     t,  # []  normalised time, converted to the precision of x

@@ -1,30 +1,18 @@
 """What the baselines share: explicit Gaussians, their presets, their file and their training.
 
-A file is one PLY with Gaussians as its vertices. All numbers of networks and planes follow the
-vertices, where a viewer does not look. They are not an element, because common viewers take each
-line `property` of a header for one of the vertices, and would read rows that are too long.
+A file is one PLY with Gaussians as its vertices, in float32 as the authors store them. The numbers
+of networks and planes follow the vertices, where a viewer does not look; D3DGS's authors keep them
+in a file of its own. The header says in JSON what a reader must know besides: about 2 KB.
 
-    ply
-    format binary_little_endian 1.0
-    comment {"method": "d3dgs", ...}     what a reader must know besides the numbers, as JSON,
-                                         also the shapes of what follows the vertices
-    comment M float32 of networks follow the vertices
-    element vertex N                     a row for each Gaussian, the properties of 3DGS's PLY
-    property float x
-    ...
-    end_header
-
-All numbers are float32, as in the files of the authors; D3DGS keeps its network in a file of its
-own. The text is the overhead, about 2 KB.
-
-Training is the loop of ours. Density control is that of 3DGS (Kerbl et al. 2023, section 5.2):
-cloning, splitting, pruning, and resets of the opacity, with the constants of the authors' code in
-the presets. Statistics are those of `training.density`, with one child per Gaussian.
+Density control is that of 3DGS (Kerbl et al. 2023, section 5.2): cloning, splitting and pruning.
+Its resets of the opacity come every 3,000 iterations, later than Gaussians are added here.
 """
 
 import json
 import math
-from dataclasses import dataclass, make_dataclass
+import re
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,27 +20,25 @@ import numpy as np
 from p4dgs_ref.equations import render_loss, view
 from p4dgs_ref.equations.numerics import normalise, sigmoid
 from p4dgs_ref.model import bounding_box, with_backward
-from p4dgs_ref.scenes.fields import require
-from p4dgs_ref.scenes.files import read_ply, write_ply
+from p4dgs_ref.output import write_atomically
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.covariance import rotation_matrix
 from p4dgs_ref.splatting.settings import FAST
+from p4dgs_ref.training import trainer
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import neighbour_distance, starting_points
-from p4dgs_ref.training.progress import Loop
 from p4dgs_ref.training.objective import Losses, Rendered
 from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.watch import NotFinite, first_bad
+
 from . import sh_color
 
 AFTER_TRAINING = 10**9  # an iteration in which every schedule of a preset has ended
-# The fields of a preset that a file tells its reader.
-FORM = ("sh_degree", "L_x", "L_t", "waves")
 START_ALPHA = 0.1  # the opacity of every Gaussian before training, as in 3DGS
 MOVING_ARRAYS = ("psi", "psi_d", "psi_t", "planes")  # they take part once the Gaussians move
 SHRINK = 1.6  # children of a split are smaller by this factor
-MAX_SCALE = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
-RESET_ALPHA = 0.01
+# The fields of a preset that a file tells its reader.
+FORM = ("sh_degree", "L_x", "L_t", "waves")
 # The arrays of a Gaussian in the order of 3DGS's PLY, with the names of their properties.
 PLY_OF_3DGS = {
     "x": "x y z",
@@ -65,61 +51,44 @@ PLY_OF_3DGS = {
 }
 
 
-# --- presets --------------------------------------------------------------------------------------
-# The constants that the methods have in common: their values in the code of 3DGS and in `tiny`.
-FIELDS = {
-    "iterations": (30_000, 3800),
-    "gaussians": (10_000, 800),  # at random points at the start
-    "extent": (1.3, 1.0),  # they are uniform in [-extent, extent]^3
-    "sh_degree": (3, 3),
-    "sh_every": (1000, 500),  # iterations from one active degree of the harmonics to the next
-    "lambda_ssim": (0.2, 0.2),
-    # rates, first and last, geometric over all iterations
-    "lr_x": ((1.6e-4, 1.6e-6), (5e-4, 5e-5)),
-    "lr_sh_dc": ((0.0025, 0.0025), (0.01, 0.001)),
-    "lr_sh_rest": ((0.000125, 0.000125), (0.0005, 5e-5)),
-    "lr_alpha": ((0.05, 0.05), (0.05, 0.005)),
-    "lr_s": ((0.005, 0.005), (0.01, 0.001)),
-    "lr_r": ((0.001, 0.001), (0.005, 5e-4)),
-    # density control
-    "collect_from": (0, 0),
-    "grow_from": (500, 300),
-    "grow_every": (100, 100),
-    "grow_until": (15_000, 2000),
-    "gradient_threshold": (2e-4, 5e-4),  # of the projected centre, in NDC units per view
-    "percent_dense": (0.01, 0.02),  # of the extent: smaller Gaussians are cloned, larger ones split
-    "min_opacity": (0.005, 0.005),
-    "reset_every": (3000, 3000),
-    "most": (10**9, 800),  # it adds none beyond; our preset `tiny` has 200 anchors of 4 children
-}
-
-
 @dataclass(frozen=True)
 class Preset:
-    """The constants of a method; its subclass has a field for each row of the method's table."""
+    """The constants that the methods have in common, for the tiny scenes.
 
-    name: str = "paper_synthetic"
+    Rates are the first and the last, geometric over all iterations.
+    """
+
+    iterations: int = 3800
     warm_up: int = 0  # the first iteration in which the Gaussians move
+    gaussians: int = 800  # at random points at the start
+    most: int = 800  # density control adds none beyond; `tiny` has 200 anchors of 4 children
+    extent: float = 1.0  # the points are uniform in [-extent, extent]^3
+    sh_degree: int = 3
+    sh_every: int = 500  # iterations from one active degree of the harmonics to the next
+    lambda_ssim: float = 0.2
+    lr_x: tuple = (5e-4, 5e-5)
+    lr_sh_dc: tuple = (0.01, 0.001)
+    lr_sh_rest: tuple = (0.0005, 5e-5)
+    lr_alpha: tuple = (0.05, 0.005)
+    lr_s: tuple = (0.01, 0.001)
+    lr_r: tuple = (0.005, 5e-4)
+    collect_from: int = 0
+    grow_from: int = 300
+    grow_every: int = 100
+    grow_until: int = 2000
+    gradient_threshold: float = 5e-4  # of the projected centre, in NDC units per view
+    percent_dense: float = 0.02  # of the extent: smaller Gaussians are cloned, larger ones split
+    min_opacity: float = 0.005
 
     def stage(self, iteration):
         """1 before the Gaussians move, then 2; 1 for a method in which they always do."""
         return 1 + (iteration >= self.warm_up > 0)
 
 
-def presets(fields):
-    """The class of the presets with these fields, and two of them: `paper_synthetic` and `tiny`.
-
-    A row is {field: (value in the authors' code, which is the default, value in `tiny`)}.
-    """
-    defaults = [(field, type(paper), paper) for field, (paper, _) in fields.items()]
-    kind = make_dataclass("Preset", defaults, bases=(Preset,), frozen=True)
-    return kind, kind(), kind("tiny", **{field: tiny for field, (_, tiny) in fields.items()})
-
-
 # --- the model and its file -----------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Explicit:
-    """A model of explicit Gaussians. Each baseline is a subclass, which also has
+    """A model of explicit Gaussians. A method is a subclass, which also has
 
     initial(preset, rng, points)   the first arrays by name (a static method)
     predict(t, x_c, iteration)     the Gaussians at time t as the camera at x_c sees them, and
@@ -152,9 +121,8 @@ class Explicit:
 
     def render(self, camera, t, settings=FAST):
         """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
-        (image, *_), _ = self.render_gaussians(
-            self.gaussians(t, camera), camera, settings, keep=False
-        )
+        g = self.gaussians(t, camera)
+        (image, *_), _ = self.render_gaussians(g, camera, settings, keep=False)
         return image
 
     def render_gaussians(self, g, camera, settings, keep=True):
@@ -181,28 +149,50 @@ class Explicit:
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
         arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
-        rows = {name: arrays.pop(name, normals) for name in self.PROPERTIES}
-        columns = [array.reshape(len(array), -1) for array in rows.values()]
+        columns = [arrays.pop(name, normals) for name in self.PROPERTIES]
+        columns = [array.reshape(len(array), -1) for array in columns]
         properties = [
             text.replace("*", str(i)) if "*" in text else text.split()[i]
             for text, numbers in zip(self.PROPERTIES.values(), columns)
             for i in range(numbers.shape[1])
         ]
         network = np.concatenate([np.zeros(0), *(array.ravel() for array in arrays.values())])
-        comments = (
-            json.dumps(self.values()),
-            f"{len(network)} float32 of networks follow the vertices",
-        )
-        sizes = write_ply(
-            path,
-            properties,
-            np.concatenate(columns, axis=1),
-            comments,
-            network.astype("<f4").tobytes(),
-        )
-        return dict(zip(("other", "gaussians", "network"), sizes))
+        lines = [
+            "ply",
+            "format binary_little_endian 1.0",
+            f"comment {json.dumps(self.values())}",
+            f"comment {len(network)} float32 of networks follow the vertices",
+            f"element vertex {self.primitives}",
+            *(f"property float {name}" for name in properties),
+            "end_header\n",
+        ]
+        vertices = np.concatenate(columns, axis=1).astype("<f4").tobytes()
+        parts = "\n".join(lines).encode("ascii"), vertices, network.astype("<f4").tobytes()
+        write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
+        return dict(zip(("other", "gaussians", "network"), map(len, parts)))
 
 
+def read_file(path):
+    """The Parameters and the JSON values of a PLY file. Raises an error for one of another kind."""
+    head, _, body = Path(path).read_bytes().partition(b"end_header\n")
+    values = json.loads(re.search(rb"comment ({.*})", head)[1])
+    count = int(re.search(rb"element vertex (\d+)", head)[1])
+    columns = sum(math.prod(shape) for shape in values["rows"].values())
+    numbers = np.frombuffer(body, "<f4")
+    rows, network = numbers[: count * columns].reshape(count, columns), numbers[count * columns :]
+    arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
+    arrays.pop("normals", None)
+    return Parameters(arrays), values
+
+
+def split(numbers, shapes):
+    """The arrays {name: array} of some shapes that lie one after another along the last axis."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
+    parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
+    return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}
+
+
+# --- what the pipelines share ---------------------------------------------------------------------
 def start(preset, rng, points=None):
     """The first Gaussians of 3DGS, on random or given points: grey, faint, as wide as the gaps."""
     x = starting_points(points, preset.gaussians, preset.extent, rng)
@@ -246,38 +236,10 @@ def of_network(name, weights, biases):
     return {f"{name}.{kind}{i}": a for kind, listed in layers for i, a in enumerate(listed)}
 
 
-def read_file(path):
-    """Return the Parameters and the JSON values of a file.
-
-    Raises an error for a file that no model has saved.
-    """
-    vertices, comments, rest = read_ply(path)
-    require(
-        "".join(comments[:1]).startswith("{"),
-        path,
-        "expected a .p4dgs file, or a .ply that `compare` has written for a baseline",
-    )
-    rows = vertices.view("<f4").reshape(len(vertices), len(vertices.dtype))
-    values, network = json.loads(comments[0]), np.frombuffer(rest, "<f4")
-    count = sum(map(math.prod, values["shapes"].values()))
-    require(len(network) == count, path, f"expected {count} float32 after the vertices")
-    arrays = {**split(rows, values["rows"]), **split(network, values["shapes"])}
-    arrays.pop("normals", None)
-    return Parameters(arrays), values
-
-
-def split(numbers, shapes):
-    """The arrays {name: array} of some shapes that lie one after another along the last axis."""
-    ends = np.cumsum([math.prod(shape) for shape in shapes.values()])
-    parts = zip(shapes.items(), np.split(numbers, ends[:-1].astype(int), axis=-1))
-    return {name: part.reshape(*numbers.shape[:-1], *shape) for (name, shape), part in parts}
-
-
 # --- training -------------------------------------------------------------------------------------
-class Trainer(Loop):
+class Trainer(trainer.Trainer):
     """Fits one scene by the method `kind`, a subclass of Explicit."""
 
-    UNIT = "stored"
     kind: type
     # The field of the preset with the rate of an array, or of all arrays of a network; without one,
     # an array is not trained.
@@ -291,11 +253,15 @@ class Trainer(Loop):
     }
     PER_EXTENT = ()  # names whose rates are multiples of the extent of the cameras
 
-    def __init__(self, scene, preset, seed=0, settings=FAST):
-        super().__init__(scene, preset, seed, settings)
-        self.start(Parameters(self.kind.initial(preset, self.rng, scene.points)))
-        self.extent = extent_of(scene.train, self.parameters["x"])
+    def begin(self, points):
+        """Draw the first parameters."""
+        self.start(Parameters(self.kind.initial(self.preset, self.rng, points)))
+        self.extent = extent_of(self.scene.train)
         self.statistics = Statistics.empty(self.primitives, 1)
+
+    def adopt(self, parameters):
+        """Take over parameters."""
+        self.parameters = parameters
 
     @property
     def primitives(self):
@@ -311,21 +277,17 @@ class Trainer(Loop):
         """The model as it is now."""
         return self.around(Parameters(self.parameters.arrays))
 
-    def time_of(self, view):
-        """The time at which the Gaussians are rendered for a view."""
-        return view.time
-
     def rate_of(self, name):
         """The current learning rate of an array, or of all arrays of a network."""
         waits = name in MOVING_ARRAYS and self.iteration < self.preset.warm_up
         if waits or name not in self.RATES:
             return 0.0
-        now, until = self.schedule(name)
+        now, until = self.schedule()
         rate = exponential(now, *getattr(self.preset, self.RATES[name]), until=until)
         return rate * self.extent if name in self.PER_EXTENT else rate
 
-    def schedule(self, name):
-        """How long the schedule of a rate has run, and after how many iterations it ends."""
+    def schedule(self):
+        """How long the schedule of the rates has run, and after how many iterations it ends."""
         return self.iteration, self.preset.iterations
 
     def gradients_of(self, view):
@@ -336,7 +298,7 @@ class Trainer(Loop):
         preset, p = self.preset, self.parameters
         model, gradients = self.around(p), p.zeros()
         x_c = view.camera.center.astype(p.vector.dtype)
-        g, back_predict = model.predict(self.time_of(view), x_c, self.iteration)
+        g, back_predict = model.predict(view.time, x_c, self.iteration)
         (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
         truth, moments = view.image.astype(image.dtype), self.moments_of(view)
         losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
@@ -365,43 +327,32 @@ class Trainer(Loop):
         children["log_s"] -= np.log(SHRINK)
 
     def adjust(self):
-        """Clone, split and prune; reset the opacities every `reset_every` iterations."""
+        """Clone, split and prune."""
         preset, now, p = self.preset, self.iteration, self.parameters
         if not preset.grow_from < now < preset.grow_until:
             return
         gradient = (self.statistics.gradient / np.maximum(self.statistics.seen, 1))[:, 0]
         rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
-        keep, added = densify(
-            p, rows, gradient, self.extent, preset, self.scatter, now > preset.reset_every
-        )
+        keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter)
         if keep.any() or len(added["x"]):
             self.change_rows(rows, keep, added)
-        if now % preset.reset_every == 0:
-            reset_opacity(self.parameters, self.adam.first, self.adam.second)
         self.statistics = Statistics.empty(self.primitives, 1)
 
 
 # --- density control ------------------------------------------------------------------------------
-def extent_of(views, x):
-    """The size of a scene as 3DGS measures it: how far its cameras are from their mean, and 10 %.
-
-    Cameras that stand still in one place have none; then the first points give it. The authors'
-    code would split every Gaussian and prune it as too large.
-    """
+def extent_of(views):
+    """The size of a scene by 3DGS: how far its cameras are from their mean, and 10 % more."""
     centers = np.array([view.camera.center for view in views])
-    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()
-    if spread < 1e-6:
-        spread = np.linalg.norm(x - x.mean(axis=0), axis=1).max()
-    return 1.1 * float(spread)
+    return 1.1 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
 
 
-def densify(p, rows, gradient, extent, preset, scatter, prune_large):
+def densify(p, rows, gradient, extent, preset, scatter):
     """The Gaussians [N] to keep, and new ones as {array name: rows}.
 
     Where the mean gradient [N] of the projected centre is large, a small Gaussian is cloned in
     place, and a large one is replaced by two, which `scatter` places and shrinks. Of old and new
-    ones those are left out that are nearly transparent or, with `prune_large`, very large. No more
-    are added than `most` leaves room for, those with the largest gradients.
+    ones those are left out that are nearly transparent. No more are added than `most` leaves room
+    for, those with the largest gradients.
     """
     room = max(preset.most - len(gradient), 0)
     wanted = np.zeros(len(gradient), bool)
@@ -412,23 +363,6 @@ def densify(p, rows, gradient, extent, preset, scatter, prune_large):
     children = {name: np.repeat(p[name][parents], 2, axis=0) for name in rows}
     scatter(children)
     added = {name: np.concatenate([p[name][clones], children[name]]) for name in rows}
-    limit = MAX_SCALE * extent if prune_large else np.inf
-    keep, lasting = lasts(p, preset, limit), lasts(added, preset, limit)
+    keep, lasting = (sigmoid(a["logit_alpha"]) >= preset.min_opacity for a in (p, added))
     keep[parents] = False
     return keep, {name: a[lasting] for name, a in added.items()}
-
-
-def lasts(p, preset, limit):
-    """Which Gaussians are neither nearly transparent nor larger than the limit."""
-    visible = sigmoid(p["logit_alpha"]) >= preset.min_opacity
-    return visible & (np.exp(p["log_s"]).max(axis=1) <= limit)
-
-
-def reset_opacity(p, first, second):
-    """Lower all opacities, in place, to RESET_ALPHA at most, with zero Adam moments.
-
-    What the pictures need becomes opaque again; the rest is pruned.
-    """
-    limit = np.log(RESET_ALPHA / (1 - RESET_ALPHA))
-    p["logit_alpha"][...] = np.minimum(p["logit_alpha"], limit)
-    first["logit_alpha"][...] = second["logit_alpha"][...] = 0

@@ -12,6 +12,7 @@ The direction of view is that of the moved Gaussian, x_t - x_c. The authors' ker
 in its forward pass and x_t in its backward pass, which is a mistake.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -20,25 +21,27 @@ import numpy as np
 from p4dgs_ref.equations.numerics import sigmoid, sigmoid_slope
 from p4dgs_ref.model import with_backward
 from p4dgs_ref.splatting import render
+
 from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
 MIN_WEIGHT = 0.05
 
-# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. They
-# render up to 24 views in one iteration, here it is one. Without a network, motion takes more
-# Gaussians than in the other methods; those of `tiny` grow for longer.
-FIELDS = explicit.FIELDS | {
-    "gaussians": (300_000, 2000),
-    "most": (10**9, 2000),
-    "grow_until": (15_000, 2400),
-    "waves": (2, 2),  # the highest frequency of the colours in time, in periods per scene
-    "start_s_t": (0.2**0.5, 0.2**0.5),  # standard deviation in time before training
-    # rates of positions are per extent of the cameras
-    "lr_t": ((1.6e-4, 1.6e-4), (5e-4, 5e-5)),  # of mu_t
-    "lr_s": ((0.005, 0.005), (0.015, 0.0015)),
-}
-Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
-PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, TINY)}
+
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """Without a network, motion takes more Gaussians than in the other methods.
+
+    The rates of x and mu_t are multiples of the extent of the cameras. The authors render up to 24
+    views in one iteration, here it is one.
+    """
+
+    gaussians: int = 2000
+    most: int = 2000
+    grow_until: int = 2400
+    waves: int = 2  # the highest frequency of the colours in time, in periods per scene
+    start_s_t: float = 0.2**0.5  # standard deviation in time before training
+    lr_t: tuple = (5e-4, 5e-5)  # of mu_t
+    lr_s: tuple = (0.015, 0.0015)
 
 
 class GaussiansAt(NamedTuple):

@@ -13,48 +13,30 @@ The authors prune only models of more than 200,000 Gaussians; here Gaussians are
 Their file also holds heads and a network for the time that nothing uses; ours does not.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from p4dgs_ref.model import Gaussians, with_backward
 from p4dgs_ref.training.parameters import Adam, random_layers
+
 from . import activations, explicit, plane_decoder, plane_features, plane_losses
 
-# What differs from 3DGS: values in the authors' code for D-NeRF's scenes, and in `tiny`. The rates
-# of x, planes and psi are multiples of the extent of the cameras.
-FIELDS = explicit.FIELDS | {
-    "iterations": (23_000, 3800),
-    "warm_up": (3000, 400),  # the iterations of the coarse stage; the others are the fine stage
-    "gaussians": (2000, 800),
-    "lambda_ssim": (0.0, 0.2),
-    "nodes": (64, 8),  # of the first level along x, y and z
-    "levels": ((1, 2), (1, 2)),  # multiples of `nodes`
-    "time_nodes": (100, 8),  # along t, at every level; the authors have 75 for two of the scenes
-    "features": (32, 8),  # at each node
-    "hidden": ((64,), (64,)),  # widths of phi, of which the last is that of the heads
-    "deformation_gain": (1.0, 0.01),  # the last layers of the heads start smaller by this factor
-    "lambda_planes": ((1e-4, 0.01, 1e-4), (1e-4, 0.01, 1e-4)),  # of L_space, L_time and L_one
-    "lr_planes": ((1.6e-3, 1.6e-5), (0.01, 1e-4)),
-    "lr_psi": ((1.6e-4, 1.6e-6), (1.6e-4, 1.6e-6)),
-    "grow_until": (18_000, 2000),
-}
-Preset, PAPER_SYNTHETIC, TINY = explicit.presets(FIELDS)
-PAPER_REAL = replace(  # of HyperNeRF's scenes, where the authors take two views an iteration
-    PAPER_SYNTHETIC,
-    name="paper_real",
-    iterations=17_000,
-    grow_until=13_000,
-    reset_every=10**9,
-    levels=(1, 2, 4),
-    time_nodes=150,
-    features=16,
-    hidden=(128,),
-    lambda_planes=(2e-4, 1e-3, 1e-4),
-    lr_planes=(1.6e-3, 1.6e-4),
-    lr_psi=(1.6e-4, 1.6e-5),
-)
-PRESETS = {p.name: p for p in (PAPER_SYNTHETIC, PAPER_REAL, TINY)}
+
+@dataclass(frozen=True)
+class Preset(explicit.Preset):
+    """The rates of x, planes and psi are multiples of the extent of the cameras."""
+
+    warm_up: int = 400  # the iterations of the coarse stage; the others are the fine stage
+    nodes: int = 8  # of the first level along x, y and z
+    levels: tuple = (1, 2)  # multiples of `nodes`
+    time_nodes: int = 8  # along t, at every level
+    features: int = 8  # at each node
+    hidden: tuple = (64,)  # widths of phi, of which the last is that of the heads
+    deformation_gain: float = 0.01  # the last layers of the heads start smaller by this factor
+    lambda_planes: tuple = (1e-4, 0.01, 1e-4)  # of L_space, L_time and L_one
+    lr_planes: tuple = (0.01, 1e-4)
+    lr_psi: tuple = (1.6e-4, 1.6e-6)
 
 
 class HexPlane(explicit.Explicit):
@@ -141,12 +123,12 @@ class Trainer(explicit.Trainer):
     PER_EXTENT = ("x", "planes", "psi")
 
     def step(self):
-        """One iteration, as in `Loop`; the first of the fine stage forgets Adam's moments."""
+        """One iteration; the first of the fine stage forgets Adam's moments."""
         if self.iteration == self.preset.warm_up:
             self.adam = Adam(self.parameters)
         return super().step()
 
-    def schedule(self, name):
+    def schedule(self):
         """All rates start anew with the fine stage, over whose length they are made."""
         coarse = self.preset.warm_up
         began = coarse if self.iteration >= coarse else 0

@@ -6,9 +6,9 @@ import numpy as np
 
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
-from p4dgs_ref.training.progress import Progress
 from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.presets import TINY, Preset
+from p4dgs_ref.training.progress import Progress
 
 from .networks import Layout, initial_log_steps, learned_steps, rounded_networks
 from .positions import snap
@@ -91,6 +91,5 @@ class Trainer(trainer.Trainer):
 def fit(scene, preset: Preset = TINY, seed=0, position_bits=10, stream=None):
     """Fit a scene and return the Trainer, which has the model and the history."""
     fitting = Trainer(scene, preset, seed, position_bits)
-    with np.errstate(all="ignore"):
-        fitting.run(Progress(stream))
+    fitting.run(Progress(stream))
     return fitting

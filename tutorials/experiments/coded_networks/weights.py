@@ -30,7 +30,7 @@ four times each, to those that need the fewest bits, with r and c from -6 to 6.
 
 Worked numbers of networks. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is
 -0.3046875. With t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols. In the
-published stream `coded_ten_bits` the section context_mlps begins with the bytes 60 10 50 11: the
+stream `coded_ten_bits` the section context_mlps begins with the bytes 60 10 50 11: the
 first W has the step 96 and t = 8, its b the step 80 and t = 9.
 """
 
@@ -49,14 +49,13 @@ from p4dgs_ref.codec.streams import (
     ideal_bits_gaussian,
 )
 from p4dgs_ref.limits import MAX_STEPS
+
 from .networks import step_of_code
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)
 CODES = np.arange(-6, 7)  # of rows and columns, that the encoder tries
 SWEEPS = 4
-KNOWN_COSTS = (
-    1024  # magnitudes whose cost the encoder knows; larger ones count as the largest of them
-)
+KNOWN_COSTS = 1024  # magnitudes whose cost the encoder knows; larger ones cost as the largest
 
 
 def round_networks(model):
@@ -113,7 +112,7 @@ def read_networks(data, section, shapes):
     scales = []
     for (_, J), (t_W, t_b) in zip(layers, levels):
         scales += [(t_W + next(codes)[:, None] + next(codes)).ravel(), np.full(J, t_b)]
-    symbols = decode_symbols(data[at:], tables_of(np.concatenate(scales)), section)
+    symbols = decode_symbols(data, tables_of(np.concatenate(scales)), section, at=at)
     require(
         np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,
@@ -170,10 +169,8 @@ def tables_of(scales):
 @cache
 def costs():
     """Bits, in units of 1/256, of magnitudes at every level [28, KNOWN_COSTS] and of CODES [13]."""
-    scales, magnitudes = (
-        np.repeat(LEVELS, KNOWN_COSTS),
-        np.tile(np.arange(KNOWN_COSTS), len(LEVELS)),
-    )
+    scales = np.repeat(LEVELS, KNOWN_COSTS)
+    magnitudes = np.tile(np.arange(KNOWN_COSTS), len(LEVELS))
     bits = ideal_bits_gaussian(magnitudes, 0 * scales, sigma_units(scales)).reshape(-1, KNOWN_COSTS)
     price = ideal_bits_gaussian(CODES, 0 * CODES, 0 * CODES)
     return np.rint(256 * bits), np.rint(256 * price)  # whole numbers: their sums are exact
@@ -181,21 +178,16 @@ def costs():
 
 def price(magnitudes, scales):
     """The bits, as in `costs`, of magnitudes at scales; the two have shapes that NumPy combines."""
-    return costs()[0].take(
-        KNOWN_COSTS * level_index(scales) + magnitudes
-    )  # faster than two indices
+    # One index is faster than two.
+    return costs()[0].take(KNOWN_COSTS * level_index(scales) + magnitudes)
 
 
-def fit(symbols, has_codes, best_level=None):
-    """The level, row codes [I] and column codes [J] of symbols [I, J]; only 0 unless
-    `has_codes`.
-
-    `best_level` may be `best_level_plainly`.
-    """
+def fit(symbols, has_codes):
+    """The level, row codes [I] and column codes [J] of symbols [I, J]; 0 unless `has_codes`."""
     magnitudes = np.minimum(np.abs(symbols), KNOWN_COSTS - 1)
     r, c = (np.zeros(length, np.int64) for length in symbols.shape)
     for _ in range(SWEEPS):
-        before, t = (r, c), (best_level or best_level_fast)(magnitudes, r[:, None] + c)
+        before, t = (r, c), best_level(magnitudes, r[:, None] + c)
         if has_codes:
             r = best_codes(magnitudes, t + c)
             c = best_codes(magnitudes.T, t + r)
@@ -214,14 +206,11 @@ def best_codes(magnitudes, scales):
     return CODES[np.argmin(np.concatenate(of_rows, axis=1) + costs()[1][:, None], axis=0)]
 
 
-def best_level_plainly(magnitudes, codes):
-    """The level that needs the fewest bits; `codes` [I, J] are sums of row and column codes."""
-    return LEVELS[np.argmin([price(magnitudes, t + codes).sum() for t in LEVELS])]
+def best_level(magnitudes, codes):
+    """The level that needs the fewest bits; `codes` [I, J] are sums of row and column codes.
 
-
-def best_level_fast(magnitudes, codes):
-    """The same as `best_level_plainly`. A tensor has few different pairs of a magnitude and a code,
-    so each pair is looked up once and its bits are multiplied by its count.
+    A tensor has few different pairs of a magnitude and a code, so each pair is looked up once and
+    its bits are multiplied by its count.
     """
     pairs, counts = np.unique(codes * KNOWN_COSTS + magnitudes, return_counts=True)
     of_pairs = price(pairs % KNOWN_COSTS, np.add.outer(LEVELS, pairs // KNOWN_COSTS))

@@ -1,8 +1,8 @@
-"""One simple codec in which every baseline is stored alike, after its training.
+"""One simple codec in which every method is stored alike, after its training.
 
-Every number becomes a multiple of a step, and these integers are entropy coded by the coder of our
-own files. How much the pictures suffer decides the steps. A number that is off by up to half its
-step Delta adds H Delta^2 / 12 to the squared error of the pictures, where H is the sum over all
+Every number becomes a multiple of a step, and these integers are entropy coded by the coder of the
+paper's files. How much the pictures suffer decides the steps. A number that is off by up to half
+its step Delta adds H Delta^2 / 12 to the squared error of the pictures, where H is the sum over all
 pixels of their squared derivatives with respect to the number. A group of n numbers that share a
 step costs that much for each of them, and n log2(1 / Delta) bits. The best balance of the two over
 all groups is
@@ -13,12 +13,12 @@ where `loss` is the same for all groups. It is the only setting of a file. The s
 weights is at most their root mean square: a larger one rounds nearly all of them to 0, and what
 that does to a network of many layers is not in H, which is about small changes.
 
-A group is a column of the Gaussians or of the anchors (`coded_anchors`), a plane, or the weights or
-biases of a layer. The file has
+A group is a column of the Gaussians, a plane, the positions, or the weights or biases of a layer.
+`coded_anchors` has the same rule for the paper's design. The file has
 
     the head        of `half`; it also says the bits of a coordinate
-    gaussians       positions, sorted as in B2 (`beyond.positions`), and then the columns
-    network         planes as columns; weights and biases as in B1 (`beyond.weights`)
+    gaussians       positions, sorted as in B2 (`coded_networks.positions`), and then the columns
+    network         planes as columns; weights and biases as in B1 (`coded_networks.weights`)
     other           arrays that are not trained, float32
 
 Columns begin with the code of the step, the mean and the deviation of each of them (COLUMN). Their
@@ -27,17 +27,17 @@ integers follow as one stream (`codec.streams`), each under the Gaussian of its 
 
 import math
 import struct
-import zlib
 
 import numpy as np
 
-from p4dgs_ref.beyond import positions, weights
-from p4dgs_ref.beyond.networks import step_code, step_of_code
 from p4dgs_ref.codec.gaussian_table import MU_BITS, SIGMA_BITS, SIGMA_MIN
 from p4dgs_ref.codec.streams import decode_gaussian, encode_gaussian
 from p4dgs_ref.model import unsnap
 from p4dgs_ref.splatting.settings import FAST
 from p4dgs_ref.training.parameters import Parameters
+
+from ..coded_networks import positions, weights
+from ..coded_networks.networks import step_code, step_of_code
 from .half import join, split
 
 DRAWS = 2  # of random signs for each view, from which H is estimated
@@ -47,6 +47,7 @@ MAX_INTEGER = 4095  # so that 8 times a mean has 16 bits
 BITS = 6, 16  # of a coordinate: at least and at most
 
 
+# --- the rule -------------------------------------------------------------------------------------
 def sensitivity(model, views, rng):
     """H of every number of a model over all pixels of some views, as Parameters.
 
@@ -68,6 +69,12 @@ def step_for(loss, H, numbers=0.0):
     return max(np.sqrt(loss * H.size / max(H.sum(), 1e-30)), least)
 
 
+def bits_for(loss, H, box):
+    """The bits of a coordinate, so that the lattice of the box is as fine as the step."""
+    cells = max(float((box[1] - box[0]).max()) / step_for(loss, H), 1.0)
+    return min(max(math.ceil(math.log2(cells)), BITS[0]), BITS[1])
+
+
 def codes_of(loss, H, network):
     """The codes of the steps of a network's weights and biases (B1), from H of their numbers."""
     return tuple(
@@ -83,52 +90,37 @@ def rms(numbers):
 
 # --- encoder --------------------------------------------------------------------------------------
 def encode(model, H, loss):
-    """The file of a model from its `sensitivity` H, and its bytes by kind.
-
-    Beside them `zlib` is the size of the same integers, 2 bytes each, compressed by zlib.
-    """
+    """The file of a model, from its `sensitivity` H, and its bytes by kind."""
     values, box = model.values(), model.box
-    bits = bits_for(box, step_for(loss, H["x"]))
+    bits = bits_for(loss, H["x"], box)
     places, _ = positions.snap(model.parameters["x"], *box, bits)
     order = positions.codes_of(places, box, bits).argsort(kind="stable")
     p, H = (
         Parameters({n: a[order] if n in values["rows"] else a for n, a in q.arrays.items()}, float)
         for q in (model.parameters, H)
     )
-    layers = layers_of(values["shapes"])
-    steps = {name: codes_of(loss, H.network(name), p.network(name)) for name in layers}
-    networks = {name: p.network(name) for name in layers}
-    columns, of_columns = write_groups(columns_of(p, values), columns_of(H, values), loss)
-    planes, of_planes = write_groups(planes_of(p), planes_of(H), loss)
+    names = layers_of(values["shapes"])
+    networks = {name: p.network(name) for name in names}
+    steps = {name: codes_of(loss, H.network(name), networks[name]) for name in names}
     parts = {
         "positions": positions.write_sorted(places[order], box, bits),
-        "columns": columns,
-        "planes": planes,
-        "networks": weights.write_weights(networks, steps) if layers else b"",
+        "columns": write_groups(columns_of(p, values), columns_of(H, values), loss),
+        "planes": write_groups(planes_of(p), planes_of(H), loss),
+        "networks": weights.write_weights(networks, steps) if networks else b"",
         "box": b"".join(a.astype("<f4").tobytes() for a in p.arrays.get("box", ())),
     }
     data = join({**values, "count": len(order), "bits": bits}, parts)
-    of_networks = [
-        np.rint(a / step_of_code(code)).ravel()
-        for name in layers
-        for pair in zip(networks[name], steps[name])
-        for a, code in zip(*pair)
-    ]
-    integers = np.concatenate([places[order].T.ravel(), *of_columns, *of_planes, *of_networks])
-    gaussians = len(parts["positions"]) + len(columns)
-    network = len(planes) + len(parts["networks"])
-    return data, {
-        "gaussians": gaussians,
-        "network": network,
-        "other": len(data) - gaussians - network,
-        "zlib": len(zlib.compress(integers.astype(np.int64).astype("<u2").tobytes(), 9)),
-    }
+    return data, kinds(data, parts)
 
 
-def bits_for(box, step):
-    """The bits of a coordinate, so that the lattice of the box is as fine as a step."""
-    cells = max(float((box[1] - box[0]).max()) / step, 1.0)
-    return min(max(math.ceil(math.log2(cells)), BITS[0]), BITS[1])
+def kinds(data, parts):
+    """The bytes of a file by kind; the head and what is not trained are `other`."""
+    network = sum(len(part) for name, part in parts.items() if name in NETWORKS)
+    gaussians = sum(map(len, parts.values())) - network - len(parts.get("box", b""))
+    return {"gaussians": gaussians, "network": network, "other": len(data) - gaussians - network}
+
+
+NETWORKS = "planes", "networks", "hash_grid"  # the parts that count as networks
 
 
 def layers_of(shapes):
@@ -152,7 +144,7 @@ def planes_of(p):
 
 
 def write_groups(groups, sensitivities, loss):
-    """The bytes of groups of numbers [n], from H of each number; and their integers."""
+    """The bytes of groups of numbers [n], from H of each number."""
     stored, integers = [], [np.zeros(0, np.int64)]
     for numbers, H in zip(groups, sensitivities):
         code = int(step_code(step_for(loss, H, numbers)))
@@ -161,7 +153,7 @@ def write_groups(groups, sensitivities, loss):
         stored.append((code, round(FINE * n.mean()), round(FINE * spread)))
         integers.append(n)
     stream = encode_gaussian(np.concatenate(integers), *units(stored, map(len, integers[1:])))
-    return b"".join(COLUMN.pack(*group) for group in stored) + stream, integers[1:]
+    return b"".join(COLUMN.pack(*group) for group in stored) + stream
 
 
 def units(stored, lengths):

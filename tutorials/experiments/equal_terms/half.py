@@ -1,4 +1,4 @@
-"""The file of a baseline whose numbers are float16.
+"""The file of an explicit model whose numbers are float16.
 
     2 bytes         length of the head
     the head        JSON, compressed by zlib: what a PLY file says, and the sizes of the parts
@@ -13,7 +13,8 @@ import zlib
 import numpy as np
 
 from p4dgs_ref.training.parameters import Parameters
-from . import explicit
+
+from ..baselines import explicit
 
 
 def encode(model):
@@ -22,13 +23,9 @@ def encode(model):
     numbers = np.concatenate([a.ravel() for a in arrays.values()]).astype("<f2")
     shapes = {name: a.shape for name, a in arrays.items()}
     data = join({**values, "shapes": shapes}, {"numbers": numbers.tobytes()})
-    of_gaussians = [a.size for name, a in arrays.items() if name in values["rows"]]
-    gaussians = numbers.itemsize * sum(of_gaussians)
-    return data, {
-        "gaussians": gaussians,
-        "network": numbers.nbytes - gaussians,
-        "other": len(data) - numbers.nbytes,
-    }
+    gaussians = 2 * sum(a.size for name, a in arrays.items() if name in values["rows"])
+    sizes = {"gaussians": gaussians, "network": numbers.nbytes - gaussians}
+    return data, {**sizes, "other": len(data) - numbers.nbytes}
 
 
 def decode(data):

@@ -1,23 +1,20 @@
-"""The paper's Tables 1 and 2 on tiny scenes: all methods by the same loop, renderer and measures.
+"""The paper's Tables 1 and 2 on a tiny scene: all methods by one loop, one renderer, one measure.
 
-Every baseline has a second row, without spherical harmonics. Rendering is timed in one process, all
-methods in turn.
+Rendering is timed in one process, all methods in turn.
 """
-
-import json
 
 import numpy as np
 
-from p4dgs_ref.effects import moves
-from p4dgs_ref.report.figures import draw_pictures, error_of, write_csv
-from p4dgs_ref.scenes import load_scene, packaged_scenes
-from .. import baselines
-from p4dgs_ref.clock import alternate, disturbance, stretch_of
-from p4dgs_ref.writer import means, seeds_of, text_table
-from . import methods
-from .methods import OUR_PRESETS, OURS
+from p4dgs_ref.lab.clock import alternate, disturbance
+from p4dgs_ref.lab.writer import means, text_table
+from p4dgs_ref.report.figures import draw_pictures, error_of
+
+from .methods import PAPERS, task_of
+from .rows import model_of
+from .writer import seeds_of
 
 TURNS = 5  # of the pictures that are timed
+ITERATIONS = 3800
 # PSNR in dB, SSIM, MB and frames/s of the paper's Tables 1 and 2.
 PAPER = {
     "D-NeRF": {
@@ -33,144 +30,65 @@ PAPER = {
         "gaussian4d": "23.00 0.814 235.95 208",
     },
 }
-KINDS = ("network", "gaussians")  # of bytes
-# Changes of the presets: every baseline also with colors that are the same from all sides.
-SIZES = {
-    **dict.fromkeys(OUR_PRESETS, [{}]),
-    **dict.fromkeys(baselines.METHODS, [{}, {"sh_degree": 0}]),
-}
-BASELINES = (
-    "The baselines ignore a scene's list of effects, but for occlusion, and have spherical "
-    "harmonics of degree 3 where the row does not say another one (sh_degree)."
-)
 COLUMNS = {
-    "iterations": "{iterations:,.0f}",
+    "method": "{label}",
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
-    "SSIM": "{ssim:.4f} ±{ssim_spread:.4f}",
+    "SSIM": "{ssim:.4f}",
     "bytes": "{bytes:,.0f}",
     "network": "{network_bytes:,.0f}",
     "Gaussians": "{gaussians_bytes:,.0f}",
-    "frames/s": "{render_fps:.0f}",
+    "times": "{times:.1f}",
+    "frames/s": "{fps:.0f}",
+    **{f"the paper's {name}": f"{{paper[{name}]}}" for name in PAPER},
 }
-OF_THE_PAPER = {f"the paper's {name}": f"{{paper[{name}]}}" for name in PAPER}
 
 
-def dynamic_scenes():
-    """The names of the packaged scenes in which something moves."""
-    return [name for name in packaged_scenes() if moves(load_scene(name).effects)]
+def plan(scene, seeds, iterations):
+    """The Tasks of all methods and seeds."""
+    command = f"python -m tutorials.experiments.tables compare {scene.name}"
+    command += f" --seeds {seeds} --iterations {iterations}"
+    return [
+        task_of(scene, name, seed, iterations, command)
+        for seed in range(seeds)
+        for name in PAPER["D-NeRF"]
+    ]
 
 
-def plan(scenes, folder, names=(), seeds=3, iterations=None):
-    """The Tasks of all scenes, seeds and methods.
-
-    `names` are those of methods, nothing means all; ours is always one of them. Seeds are 0 to
-    seeds - 1, and all methods take the same iterations. Raises StudyError for an unknown method.
-    """
-    names = methods.known([OURS, *names] if names else [])
-    return methods.plan(SIZES, names, scenes, folder, seeds, iterations)
-
-
-def collect(tasks, folder):
-    """Time what the Tasks have made, and write compare.json, .csv and .png into a folder.
-
-    Returns what compare.json holds.
-    """
-    rows, shown, labels = [], {}, [*dict.fromkeys(task.label for task in tasks)]
-    for start in range(0, len(tasks), len(labels)):
-        group = tasks[start : start + len(labels)]  # of one scene and seed
-        scene = group[0].scene
-        models = {task.label: methods.load(task.path) for task in group}
-        speeds = rendering(scene.test, models)
-        rows += [{**row, **speeds[row["label"]]} for row in methods.made(group)]
-        shown.setdefault(scene.name, (scene.test, models))
-    result = {
-        "methods": rows,
-        "summary": [
-            {**row, "paper": {name: cells.get(row["label"], "-") for name, cells in PAPER.items()}}
-            for row in means(rows, "label")
-        ],
-        "against": [against(rows, name) for name in labels[1:]],
-        "stretch": stretch_of(rows),
-    }
-    (folder / "compare.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    write_csv(folder / "compare.csv", rows)
-    draw_grid(folder / "compare.png", shown)
-    return result
+def show(scene, tasks, found, folder):
+    """Print the table and draw a picture; times and pictures are those of the first seed."""
+    models = {task.label: model_of(task, folder) for task in tasks if task.seed == 0}
+    times = rendering(scene.test, models)
+    draw(folder / "compare.png", scene, models)
+    summary = {row["label"]: row for row in means(found, "label")}
+    for name, row in summary.items():
+        row["times"] = row["bytes"] / summary[PAPERS]["bytes"]
+        row["fps"] = 1e3 * len(scene.test) / times[name].median
+        row["paper"] = {data: cells[name] for data, cells in PAPER.items()}
+    print(
+        f"{scene.name}; {tasks[0].iterations:,} iterations; {seeds_of(found)}. Bytes of the file,"
+    )
+    print("of which network (also planes and hash grid) and Gaussians, and times the first one's.")
+    print(f"Files are as their authors store them: {PAPERS} entropy coded with float16 networks,")
+    print("the others float32. The paper's columns: PSNR, SSIM, MB, frames/s.")
+    print(*text_table(COLUMNS, summary.values()), sep="\n")
+    print(disturbance(float(np.median([each.stretch for each in times.values()]))))
 
 
 def rendering(views, models):
-    """{name: {render_fps, stretch}} of models that render some views in turn."""
+    """The Times of models that render some views in turn."""
     functions = {
         name: lambda model=model: [model.render(view.camera, view.time) for view in views]
         for name, model in models.items()
     }
-    return {
-        name: {"render_fps": 1e3 * len(views) / times.median, "stretch": times.stretch}
-        for name, times in alternate(functions, TURNS).items()
-    }
+    return alternate(functions, TURNS)
 
 
-def against(rows, label):
-    """A baseline against the paper's design: ratios of bytes and frames/s, and PSNR minus its.
-
-    The ratio of the bytes is the sum of the shares of its network, Gaussians and text.
-    """
-    mean = {row["label"]: row for row in means(rows, "label")}
-    ours, theirs = mean[OURS], mean[label]
-    psnr = {(row["label"], row["seed"]): row["psnr_db"] for row in means(rows, "label", "seed")}
-    gains = [psnr[OURS, seed] - value for (name, seed), value in psnr.items() if name == label]
-    return {
-        "label": label,
-        "ratio": theirs["bytes"] / ours["bytes"],
-        **{f"{kind}_share": theirs[f"{kind}_bytes"] / ours["bytes"] for kind in KINDS},
-        **{f"{kind}_ratio": theirs[f"{kind}_bytes"] / ours[f"{kind}_bytes"] for kind in KINDS},
-        "psnr_gain": float(np.mean(gains)),
-        "psnr_gain_range": [min(gains), max(gains)],
-        "fps_ratio": ours["render_fps"] / theirs["render_fps"],
-    }
-
-
-def to_text(result):
-    """Tables 1 and 2 in form, a table for each scene, and what the ratios mean."""
-    rows = result["methods"]
-    scenes = dict.fromkeys(row["scene"] for row in rows)
-    lines = [
-        f"Mean over {', '.join(scenes)}; {seeds_of(rows)}; bytes of the file, of which network "
-        "(also planes and hash grid) and Gaussians. Files are as their authors store them: "
-        f"{OURS} entropy coded with float16 networks, the baselines float32. The paper's columns: "
-        "dB, SSIM, MB, frames/s, on its scenes and graphics card.",
-        BASELINES,
-        *text_table({"method": "{label}", **COLUMNS, **OF_THE_PAPER}, result["summary"]),
-    ]
-    for scene in scenes if len(scenes) > 1 else ():
-        of_scene = means([row for row in rows if row["scene"] == scene], "label")
-        lines += ["", *text_table({scene: "{label}", **COLUMNS}, of_scene)]
-    lines += ["", *map(sentence, result["against"]), disturbance(result["stretch"])]
-    return "\n".join(lines).rstrip()
-
-
-def sentence(other):
-    """A baseline's file and quality against those of the paper's design, and if this is fair."""
-    low, high = other["psnr_gain_range"]
-    unfair = f" Note: {OURS} is below it in PSNR, so the ratio is not one at equal quality."
-    return (
-        f"{other['label']}: its file is {other['ratio']:.1f} times that of {OURS}: "
-        f"{other['network_share']:.1f} are its network and {other['gaussians_share']:.1f} its "
-        f"Gaussians. Its network is {other['network_ratio']:.1f} times the networks of {OURS}, its "
-        f"Gaussians {other['gaussians_ratio']:.1f} times the anchors. PSNR of {OURS} minus its: "
-        f"{other['psnr_gain']:+.2f} dB ({low:+.2f} to {high:+.2f}). "
-        f"{OURS} renders {other['fps_ratio']:.2f} times as many frames/s."
-        f"{unfair if other['psnr_gain'] < 0 else ''}"
-    )
-
-
-def draw_grid(path, shown):
-    """For every scene one test view: truth, all methods, and below them their errors."""
-    rows = []
-    for name, (views, models) in shown.items():
-        view = sorted(views, key=lambda view: view.time)[len(views) // 2]
-        drawn = [model.render(view.camera, view.time) for model in models.values()]
-        images = [view.image, *np.clip(drawn, 0, 1)]
-        rows.append((f"{name}, t = {view.time:.2f}", [*zip(images, ("truth", *models))]))
-        rows.append(("absolute error", [error_of(image, view.image) for image in images]))
-    draw_pictures(path, "one test view of each scene, not used in training", rows)
+def draw(path, scene, models):
+    """One test view: the truth and all methods, and below them their errors."""
+    view = sorted(scene.test, key=lambda view: view.time)[len(scene.test) // 2]
+    drawn = [model.render(view.camera, view.time) for model in models.values()]
+    images = [view.image, *np.clip(drawn, 0, 1)]
+    pictures = [*zip(images, ("truth", *models))]
+    errors = [error_of(image, view.image) for image in images]
+    title = f"{scene.name}, a test view, t = {view.time:.2f}"
+    draw_pictures(path, title, [("", pictures), ("absolute error", errors)])

@@ -1,4 +1,4 @@
-"""Random inputs of typical size: for benchmarks, hard cases, tutorials and tests."""
+"""Random inputs of typical size: for what the laboratory measures, for tutorials and for tests."""
 
 import numpy as np
 

@@ -1,0 +1,69 @@
+"""Numbers on the page of experiments are those of the records.
+
+`<!-- from records/NAME.csv: KIND -->` marks what stands up to the next comment. KIND says which
+numbers: those of a table of `equal_terms`, otherwise means of rows over seeds and scenes.
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from p4dgs_ref.lab.writer import means, read_csv
+from tutorials.experiments import RECORDS, equal_terms
+from tutorials.experiments.coded_networks import decision
+from tutorials.experiments.equal_terms import curve, growing_detail, numbers, steps
+from tutorials.experiments.tables.rows import TEXTS
+
+PAGE = Path(equal_terms.__file__).parents[1] / "README.md"
+MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=<!--|\Z)", re.DOTALL)
+NUMERAL = re.compile(r"(?<![\w.,=])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
+QUOTES = MARK.findall(PAGE.read_text(encoding="utf-8"))
+
+
+def compared(name):
+    """All rows of comparisons."""
+    rows = curve.read(name)
+    if name == "growing_detail":
+        return curve.compare(
+            rows, curve.ALIKE, scenes=[f"detail_{n}" for n in growing_detail.SIZES]
+        )
+    pairs = [(s, p) for p in (curve.PAPERS, curve.CODED) for s in (curve.STORED, curve.ALIKE)]
+    return [row for pair in pairs for row in curve.compare(rows, *pair)]
+
+
+def coded(name):
+    """What coded networks change, each row and the means."""
+    rows = [*decision.comparisons(read_csv(RECORDS / f"{name}.csv", TEXTS))]
+    return rows + means(rows, "lambda_rate") + means(rows, "lambda_rate", "scene")
+
+
+KINDS = {
+    "coded": coded,
+    "compare": compared,
+    "steps": lambda name: steps.bands(curve.read(name)),
+    "numbers": lambda name: numbers.inferred() + numbers.measured(curve.read(name)),
+}
+
+
+def values_of(name, kind):
+    """The numbers that a quote may have."""
+    if kind in KINDS:
+        rows = KINDS[kind](name)
+    else:
+        rows = read_csv(RECORDS / f"{name}.csv", TEXTS)
+        keys = (), ("scene",), ("scene", "seed")
+        rows += [row for key in keys for row in means(rows, "label", *key)]
+    return {value for row in rows for value in row.values() if isinstance(value, (int, float))}
+
+
+def is_in(numeral, values):
+    text = numeral.replace(",", "")
+    decimals = len(text.partition(".")[2])
+    return any(f"{abs(value):.{decimals}f}" == text for value in values)
+
+
+@pytest.mark.parametrize("name, kind, text", QUOTES, ids=[f"{q[0]} {q[1]}" for q in QUOTES])
+def test_the_numbers_are_those_of_the_record(name, kind, text):
+    values, found = values_of(name, kind), NUMERAL.findall(re.sub(r"`[^`]*`", "", text))
+    assert found and not [one for one in found if not is_in(one, values)]

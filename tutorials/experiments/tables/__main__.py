@@ -1,0 +1,39 @@
+"""`python -m tutorials.experiments.tables compare bouncing` and `... ablate bouncing`."""
+
+import sys
+
+import p4dgs_ref
+
+p4dgs_ref.prepare()  # before NumPy
+
+from p4dgs_ref.scenes import load_scene  # noqa: E402
+
+from . import ablate, compare  # noqa: E402
+from .rows import Parser, count, rows, run  # noqa: E402
+
+TABLES = {"compare": compare, "ablate": ablate}
+QUICK = {"seeds": 1, "iterations": 100}
+
+
+def main(words):
+    """Make the missing rows of a table and print it; of a part, only make them."""
+    parser = Parser(prog="tables", description="The paper's tables 1 to 3 on a tiny scene.")
+    parser.add_argument("table", choices=TABLES)
+    parser.add_argument("scene")
+    parser.add_argument("--seeds", type=count, default=3)
+    parser.add_argument("--iterations", type=count)
+    parser.add_argument("--quick", action="store_true", help="one seed, 100 iterations: a look")
+    parser.of_rows("report/tables")
+    options = parser.parse_args(words)
+    table, scene = TABLES[options.table], load_scene(options.scene)
+    seeds, iterations = options.seeds, options.iterations or table.ITERATIONS
+    if options.quick:
+        seeds, iterations = QUICK.values()
+    tasks = table.plan(scene, seeds, iterations)
+    found = rows(tasks, options.table, options.folder, options.part, options.jobs)
+    if options.part == (1, 1):
+        table.show(scene, tasks, found, options.folder)
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, sys.argv[1:]))
