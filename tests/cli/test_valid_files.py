@@ -5,13 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from p4dgs_ref.codec.container import BitstreamError
+from p4dgs_ref.codec.container import BitstreamError, write_container
+from p4dgs_ref.codec.file import sections_of
 from p4dgs_ref.codec.header import AXES, FIELDS
 from p4dgs_ref.codec.plain import MAX_BOX
 from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from tests.golden.both import VERSIONS, sections_of, write_container
-from tests.golden.conformance_good import LARGEST, Parts, coded_parts
+from tests.golden.conformance_good import LARGEST, Parts
 from tests.sampling import few
 
 SIZES = 0, 2.0**-1074, 2.0**-100, 0.3, 1, 2.0**20, 2.0**100, 1e300
@@ -66,9 +66,8 @@ def random_file(seed):
         tau_alpha=number("tau_alpha"),
         effects=tuple(map(str, rng.permutation(MODEL_EFFECTS)[: rng.integers(0, 8)])),
     )
-    version = VERSIONS[seed % len(VERSIONS)]
-    parts = coded_parts(seed, whole(16), **fields) if version == 2 else Parts(seed, **fields)
-    if version == 1 and rng.random() < 0.5:  # the largest weights
+    parts = Parts(seed, **fields)
+    if rng.random() < 0.5:  # the largest weights
         for W in [W for weights, _ in parts.networks.values() for W in weights]:
             W[...] = np.where(W < 0, -LARGEST, LARGEST)
     if rng.random() < 0.5:  # the largest box
@@ -77,7 +76,7 @@ def random_file(seed):
     quantised = parts.quantised()
     color = [number("background", lambda v: [v] * 3) for _ in range(3)]
     quantised.model.background[...] = color
-    return write_container(sections_of(quantised), version)
+    return write_container(sections_of(quantised))
 
 
 @pytest.mark.parametrize("seed", few(range(150), 3))

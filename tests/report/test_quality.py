@@ -9,7 +9,8 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.report.inspect import components
-from p4dgs_ref.training.fit import fit, lost
+from p4dgs_ref.training import advice
+from p4dgs_ref.training.fit import fit
 from tests.sampling import of_the_day
 
 THIN = Path(__file__).parent / "thin_scenes"
@@ -41,7 +42,7 @@ def test_thin_rods_over_a_slab_are_lost_with_a_warning(tmp_path):
     p4.simulate(THIN / "slab_and_rods.json", tmp_path / "rods")
     scene = p4.load_scene(tmp_path / "rods")
     trainer = fit(scene, "tiny", 0, stage_ends=(100, 150, 600, 1000), decay_from=600)
-    assert "what moves is lost" in lost(trainer)
+    assert "what moves is lost" in advice.after(trainer)
 
 
 @pytest.mark.slow

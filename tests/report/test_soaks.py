@@ -5,10 +5,10 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
-from tests.golden.both import quantise
 from tests.sampling import few
 
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6), (2.4, 1.1, -0.5))

@@ -13,14 +13,13 @@ in its forward pass and x_t in its backward pass, which is a mistake.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from p4dgs_ref.equations.numerics import sigmoid, sigmoid_slope
 from p4dgs_ref.model import with_backward
-from p4dgs_ref.splatting import render
+from p4dgs_ref.splatting import projection, render
 
 from . import conditional, explicit, marginal, rotation_4d, spherindrical
 
@@ -154,8 +153,16 @@ class Gaussian4D(explicit.Explicit):
     def render_gaussians(self, g, camera, settings, keep=True):
         """See `Explicit`."""
         looks = camera, self.background, settings, self.occlusion, keep
-        output, saved = render.from_covariances(g.x, g.Sigma, g.alpha, g.color, *looks)
-        return output, partial(render.from_covariances_backward, saved)
+        x, Sigma = g.x.astype(float), g.Sigma.astype(float)
+        splats, saved_splats = projection.forward(x, Sigma, **render.pinhole(camera, settings))
+        output, (compositor, saved) = render.composite(splats, g.alpha, g.color, *looks)
+
+        def back(image_bar):
+            bars = compositor.backward(saved, image_bar)
+            of_conic = {"mean2d_bar": bars["mean2d"], "conic_bar": bars.pop("conic")}
+            return {**projection.backward(saved_splats, **of_conic), **bars}
+
+        return output, back
 
 
 def four_scales(p):

@@ -48,13 +48,13 @@ from p4dgs_ref.codec.streams import (
     find_entries,
     ideal_bits_gaussian,
 )
-from p4dgs_ref.limits import MAX_STEPS
 
 from .networks import step_of_code
 
 LEVELS = np.arange(SIGMA_MIN >> SIGMA_BITS, (SIGMA_MAX >> SIGMA_BITS) + 1)
 CODES = np.arange(-6, 7)  # of rows and columns, that the encoder tries
 SWEEPS = 4
+MAX_STEPS = 2**15 - 1  # magnitude of a weight that is coded in steps
 KNOWN_COSTS = 1024  # magnitudes whose cost the encoder knows; larger ones cost as the largest
 
 

@@ -114,7 +114,7 @@ def rows(tasks, name, folder, part=(1, 1), jobs=1):
         with output.replaced(path) as place:
             write_csv(place, others + [known[key] for key in keys if key in known])
 
-    with output.made(folder):
+    with output.writable_folder(folder):
         keep()
         for done, found in enumerate(in_processes(make_rows, [*groups.values()], jobs), 1):
             known |= keyed(found)
