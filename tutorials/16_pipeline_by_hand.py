@@ -662,9 +662,9 @@ lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", 
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only frames` compares whole pictures of a trained model, so run it
 # last. The port below decodes the model from its file and renders it with the cameras of the
-# vectors. If frames differ although all single equations agree, a connection is wrong between them:
-# the order of features, distance and direction, the camera's centre, or the depth order. In the
-# vectors, the renderer's setting `kernel`, 3DGS's published kernel, is called "paper".
+# vectors. If frames differ although all single equations agree, a connection between them is wrong:
+# the order of features, distance and direction, the camera's centre, or the depth order. The
+# vectors call the renderer's setting `kernel`, the rule of the published kernel of 3DGS, "paper".
 
 # %%
 trained = decode((oracle.path() / "model.p4dgs").read_bytes())

@@ -19,7 +19,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("23_accuracy_versus_time")
+architecture.show("23_accuracy_versus_time", "compositing", "likelihood")
 
 
 def phi(x):

@@ -19,7 +19,7 @@ from p4dgs_ref import lessons
 plt = lessons.begin()
 from tutorials.tools import architecture
 
-architecture.show("25_effects")
+architecture.show("25_effects", "view", "color", "deformation", "deformed", "compositing")
 
 # %% [markdown]
 # ## Claim
@@ -130,9 +130,9 @@ assert translations[0] == 0 < translations[1]
 
 # %%
 from p4dgs_ref import effects as fx
-from p4dgs_ref.codec import published
+from p4dgs_ref.oracle.streams import STREAMS
 
-full = p4.decode((published.FOLDER / "full.p4dgs").read_bytes())
+full = p4.decode((STREAMS / "full.p4dgs").read_bytes())
 assert set(fx.MOTION) <= set(full.design.effects)
 weights, biases = full.networks["psi_d"]
 

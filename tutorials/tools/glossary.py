@@ -72,7 +72,6 @@ SYMBOLS = (
     Symbol("lambda_rate", r"\lambda_{\rm rate}", unit="1 / bits"),
     Symbol("L_total", r"\mathcal{L}_{\rm total}", "what training minimises"),
     Symbol("Sigma", r"\Sigma", "covariances"),
-    Symbol("R", meaning="rotations of frames in which the covariances are given"),
     Symbol("focal", "f_x, f_y", "focal lengths"),
     Symbol("center", "c_x, c_y"),
     Symbol("mean2d", meaning="centres of the splats"),

@@ -20,7 +20,7 @@ from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
-from p4dgs_ref.splatting import compositing, covariance, render
+from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 from p4dgs_ref.training.progress import psnr
@@ -73,8 +73,7 @@ def splats(g, camera, which=slice(None)):
 
     These are mean2d [N, 2], cov2d and conic [N, 3], depth and visible [N].
     """
-    (Sigma, R), _ = covariance.axes(g.s, g.r)
-    return [values[which] for values in render.project(g.x, Sigma, camera, EXACT, R)[0]]
+    return [values[which] for values in render.project(g.x, g.s, g.r, camera, EXACT)[0]]
 
 
 def to_pixels(x, camera):
