@@ -37,14 +37,12 @@ def original(scene, tmp_path_factory):
     shutil.copytree(scene, place / "scene")
     shutil.copytree(ROOT / "tiny_scenes/twocams", place / "two")
     (place / "run").mkdir()
-    (place / "folder.gif").mkdir()
     data = p4.encode(fit(p4.load_scene(place / "scene"), "smoke", 0, folder=place / "run").model())
     files = {
         **dict.fromkeys(("good.p4dgs", "run.p4dgs", "report/scene.p4dgs"), data),
         "cut.p4dgs": data[:-5],
-        **dict.fromkeys(("text", "text.gif"), b"not what you think\n"),
+        **dict.fromkeys(("text",), b"not what you think\n"),
         "report/metrics.json": b"{}",
-        "scene/still.gif": b"GIF89a, another picture of the scene",
         "run_cut/checkpoint.npz": (place / "run" / "checkpoint.npz").read_bytes()[:-50],
     }
     for name, content in files.items():
@@ -211,8 +209,8 @@ def test_mistakes_in_scenes(place, refused, name, mistake, words):
 
 LINES = [
     ("", ("COMMAND",)),
-    ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply, .bin, .txt")),
-    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", "missing")),
+    ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply")),
+    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", ".npy, .ply")),
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),
     ("demo --fast", ("--fast",)),
@@ -295,7 +293,6 @@ LINES = [
             ("decode", " -o new"),
             ("render", " -o new"),
             ("evaluate", " scene -o new"),
-            ("export-ply", ""),
             ("view good.p4dgs", " -o new.html"),
         )
         for file, words in (
@@ -308,7 +305,7 @@ LINES = [
     ),
     ("encode /dev/zero -o x", ("/dev/zero/checkpoint.npz", "Not a directory")),
     ("simulate /dev/zero -o out", ("/dev/zero", "a device")),
-    ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply, .bin, .txt")),
+    ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply")),
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
     ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
@@ -322,16 +319,9 @@ LINES = [
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
-    ("render good.p4dgs -o new --settings pretty", ("--settings pretty", "exact, kernel, fast")),
-    *(
-        (f"render good.p4dgs -o new --scene scene {option} 3", (option, "without --scene"))
-        for option in ("--azimuth", "--elevation", "--distance", "--size", "--frames")
-    ),
+    ("render good.p4dgs -o new --settings pretty", ("--settings", "pretty", "exact")),
     ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
     ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
-    ("render good.p4dgs -o scene/still.gif --scene scene", ("still.gif: this is the input",)),
-    ("render good.p4dgs -o folder.gif --frames 1", ("folder.gif: ", "found a folder")),
-    ("render good.p4dgs -o still.png --frames 1", ("still.png: ", "ends in .gif")),
     ("render scene.ply -o new", ("scene.ply: ", "container")),
     ("simulate nowhere.json -o new", ("nowhere.json",)),
     ("simulate text -o new", ("text", "JSON")),
@@ -343,23 +333,17 @@ LINES = [
     ("accuracy --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("effects scene --suggest -o new", ("-o new", "expected without --suggest")),
-    ("export-ply good.p4dgs -o good.p4dgs", ("good.p4dgs", "the input")),
     ("encode run -o text", ("text: ", "another kind")),
     ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
     ("encode run_cut -o run/checkpoint.npz", ("run/checkpoint.npz: ", "another kind")),
-    ("export-ply good.p4dgs -o text", ("text: ", "another kind")),
-    ("export-ply good.p4dgs -o .", (".: expected a regular file",)),
-    ("export-ply good.p4dgs --time 1.5", ("--time",)),
     ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: this is the input",)),
-    ("effects static --suggest --apply --jobs 1", ("packaged",)),
-    ("render good.p4dgs -o text.gif", ("text.gif: ", "another kind")),
+    ("effects static --suggest --apply", ("packaged",)),
     ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
     ("train scene -o run --preset smoke", ("run/checkpoint.npz: exists", "--resume")),
     ("demo scene -o report --preset smoke", ("report/scene.p4dgs: exists", "another")),
     ("demo bouncing -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
-    ("export-ply good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
-    ("accuracy --only speed", ("--only speed", "renderer")),
+    ("accuracy --train", ("--yes",)),
     ("stability --only H-R", ("--only H-R", "H-R1")),
 ]
 
@@ -424,8 +408,7 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
     assert all(np.isfinite(a).all() for a in arrays.values() if a.dtype.kind == "f")
     shutil.rmtree(place / "new")
     failed("demo scene -o new/deep --set lr_d=1e30,1e30")
-    # A rate that float32 cannot hold.
-    found = failed("demo scene -o new --set lr_c=1e39,1e39")
+    found = failed("demo scene -o new --set lr_c=1e38,1e38")
     assert found.startswith("0: after Adam's step, parameter psi_c.W0[")
     assert sorted(place.rglob("*")) == before
 
@@ -510,7 +493,6 @@ FULL = {
     "evaluate good.p4dgs scene -o out": "out/comparison.png",
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
     "inspect good.p4dgs -o out": "out/sections.png",
-    "export-ply good.p4dgs -o out/x.ply": "out/x.ply",
     "view good.p4dgs -o out/x.html": "out/x.html",
 }
 

@@ -1,4 +1,4 @@
-"""Every file that a header allows can be used: random valid headers through seven commands."""
+"""Every file that a header allows can be used: random valid headers through six commands."""
 
 import warnings
 
@@ -16,16 +16,14 @@ from tests.sampling import few
 
 SIZES = 0, 2.0**-1074, 2.0**-100, 0.3, 1, 2.0**20, 2.0**100, 1e300
 NUMBERS = [*SIZES, *(-size for size in SIZES)]
-# PLY files hold float32, so the Gaussians of a few files are too large for one.
-COMMANDS = {
-    "decode f.p4dgs -o decoded": "",
-    "render f.p4dgs -o drawn --frames 2 --size 16": "",
-    "render f.p4dgs -o of_scene --scene scene --settings exact": "",
-    "evaluate f.p4dgs scene --json": "",
-    "inspect f.p4dgs": "",
-    "export-ply f.p4dgs": "Gaussians are NaN or beyond float32",
-    "view f.p4dgs": "",
-}
+COMMANDS = (
+    "decode f.p4dgs -o decoded",
+    "render f.p4dgs -o drawn --frames 2 --size 16",
+    "render f.p4dgs -o of_scene --scene scene --settings exact",
+    "evaluate f.p4dgs scene --json",
+    "inspect f.p4dgs",
+    "view f.p4dgs",
+)
 
 
 def is_allowed(name, value):
@@ -84,8 +82,8 @@ def test_every_command_takes_a_valid_file(run, scene, tmp_path, monkeypatch, see
     (tmp_path / "f.p4dgs").write_bytes(random_file(seed))
     (tmp_path / "scene").symlink_to(scene)
     monkeypatch.chdir(tmp_path)
-    for line, refusal in COMMANDS.items():
+    for line in COMMANDS:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             code, _, err = run(line)
-        assert code == 0 or (refusal and refusal in err), (line, err)
+        assert code == 0, (line, err)

@@ -187,15 +187,6 @@ def digest(model):
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def read_gaussians(path):
-    """The Gaussians of a PLY file of 3DGS, as float64; their spherical harmonics have degree 0."""
-    vertices = read_ply(path)
-    columns = np.stack([vertices[name].astype(float) for name in vertices.dtype.names], axis=1)
-    x, _, f_dc, opacity, log_s, r = np.split(columns, [3, 6, 9, 10, 13], axis=1)
-    color = 0.5 + f_dc / (2 * np.sqrt(np.pi))
-    return Gaussians(x, np.exp(log_s), r, expit(opacity[:, 0]), color, np.arange(len(x)))
-
-
 # What another process runs to decode the file in its first argument.
 DECODE_AND_PRINT = """
 import sys
