@@ -10,7 +10,7 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
+from ..output import new_file, staged_folder, writable_folder, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
@@ -18,7 +18,7 @@ from ..report.evaluate import compression, json_safe, timed
 from ..scenes.files import write_image
 from ..scenes.load import find_scene, read_points_for, read_scene_json
 from ..training import advice
-from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
+from ..training.fit import CHECKPOINT, fit, load_model
 from ..training.presets import choose
 from ..training.trainer import Trainer
 from . import UsageError, ask, caution, progress, require, show, tell, text
@@ -74,13 +74,8 @@ def demo(arguments):
 
 def simulate(arguments):
     """Draw the pictures of a scene.json."""
-    _, seconds = timed(
-        p4.simulate,
-        arguments.scene,
-        arguments.output,
-        lambda i, n: progress(f"{i}/{n} pictures"),
-    )
-    tell(f"{arguments.output}: drawn in {seconds:.1f} s")
+    p4.simulate(arguments.scene, arguments.output, lambda i, n: progress(f"{i}/{n} pictures"))
+    tell(f"{arguments.output}: drawn")
 
 
 def train(arguments):
@@ -90,7 +85,6 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, Trainer(scene, preset))
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
         caution(
@@ -100,8 +94,7 @@ def train(arguments):
     for sentence in advice.before(scene, preset, arguments.seed):
         caution(sentence)
     with writable_folder(arguments.output) as folder:
-        trainer, seconds = timed(
-            fit,
+        trainer = fit(
             scene,
             preset,
             arguments.seed,
@@ -112,7 +105,7 @@ def train(arguments):
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
     caution(advice.after(trainer))
-    tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors, {seconds:.1f} s")
+    tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
 
 
 def encode(arguments):
@@ -120,14 +113,14 @@ def encode(arguments):
     checkpoint = Path(arguments.run) / CHECKPOINT
     with new_file(arguments.output, checkpoint, start=container.MAGIC) as output:
         model, values = load_model(arguments.run)
-        data, seconds = timed(p4.encode, model)
+        data = p4.encode(model)
         write_atomically(output, lambda file: file.write(data))
-    tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}, {seconds:.3f} s")
+    tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}")
 
 
 def decode(arguments):
     """Write the arrays of a file as model.npz and its design as model.json."""
-    _, model, seconds = read_file(arguments.file)
+    _, model, _ = read_file(arguments.file)
     arrays = {
         **model.anchors._asdict(),
         **dict(zip(("lo", "hi"), model.box)),
@@ -145,7 +138,7 @@ def decode(arguments):
         (staging / "model.json").write_text(
             json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
         )
-    tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json; {seconds:.3f} s")
+    tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json")
 
 
 def render(arguments):

@@ -90,10 +90,9 @@ def classroom(arguments):
     from ..lab.classroom import hand_out
 
     done = hand_out(arguments.folder, arguments.only)
-    kept = f"; kept as they were: {', '.join(done['kept'])}" if done["kept"] else ""
     tell(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
-        f"write; hand out student/, keep key/; README.md explains what to do{kept}"
+        f"write; hand out student/, keep key/; README.md explains what to do"
     )
 
 

@@ -1,4 +1,4 @@
-"""What studies make of rows: means over seeds, and tables as text."""
+"""What studies make of rows: groups, and tables as text."""
 
 import csv
 
@@ -30,25 +30,6 @@ def grouped(rows, *keys):
     for row in rows:
         groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
     return groups
-
-
-def means(rows, *keys):
-    """The means over scenes and seeds of the rows that agree in the keys; one row for each.
-
-    `name_spread` is half the range of the means of each seed. Fields that are no numbers, or that
-    some row lacks, are left out.
-    """
-    result = []
-    for values, group in grouped(rows, *keys).items():
-        seeds = sorted({row["seed"] for row in group})
-        result.append({**dict(zip(keys, values)), "seeds": len(seeds)})
-        for name in group[0]:
-            is_numeric = all(isinstance(row.get(name), (int, float)) for row in group)
-            if is_numeric and name not in (*keys, "seed"):
-                each = [np.mean([row[name] for row in group if row["seed"] == s]) for s in seeds]
-                result[-1][name] = float(np.mean(each))
-                result[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
-    return result
 
 
 def text_table(columns, rows):

@@ -13,7 +13,6 @@ from .compare import expected, precision
 from .published import flatten, meant, stream_rows, subjects
 from .safetensors import require
 
-MAX_ANSWER_BYTES = 2**28  # of a file
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
 
 

@@ -106,15 +106,10 @@ class Trainer:
         """The stage, 1 to 4, of the next iteration."""
         return self.preset.stage(self.iteration)
 
-    def run(self, report=None):
-        """Train to the end, without checkpoints, and return the model.
-
-        `report(trainer, losses, rendered, view)` is called after each step.
-        """
+    def run(self):
+        """Train to the end, without checkpoints, and return the model."""
         while self.iteration < self.preset.iterations:
-            results = self.step()
-            if report:
-                report(self, *results)
+            self.step()
         return self.model()
 
     @np.errstate(all="ignore")  # NotFinite names what NumPy would warn of

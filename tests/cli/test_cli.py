@@ -93,7 +93,7 @@ def test_inspect_and_evaluate_agree_with_the_demo(report, ok):
 # What a command prints first, and the files in its folder.
 WRITTEN = {
     "train bouncing -o run --preset smoke --downscale 4 --set k=3 --quiet": (
-        "run: 45 iterations, 20 anchors, ",
+        "run: 45 iterations, 20 anchors",
         "checkpoint.npz training.csv training.png",
     ),
     "encode run -o out/x.p4dgs": ("out/x.p4dgs: ", "x.p4dgs"),

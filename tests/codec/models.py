@@ -9,14 +9,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.special import expit
 
 import p4dgs_ref as p4
 from p4dgs_ref.codec.container import BitstreamError, write_container
 from p4dgs_ref.equations import hash_grid, prior
 from p4dgs_ref.limits import MAX_OF
-from p4dgs_ref.model import Gaussians, context, split
-from p4dgs_ref.scenes.files import read_ply
+from p4dgs_ref.model import context, split
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.fit import fit
 from p4dgs_ref.training.initial import design_of, initial_parameters

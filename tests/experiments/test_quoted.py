@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from p4dgs_ref.lab.writer import means, read_csv
+from p4dgs_ref.lab.writer import read_csv
 from tutorials.experiments import RECORDS, equal_terms
 from tutorials.experiments.coded_networks import decision
-from tutorials.experiments.equal_terms import curve, growing_detail, numbers, steps
+from tutorials.experiments.equal_terms import curve, numbers, steps
 from tutorials.experiments.tables.rows import TEXTS
+from tutorials.experiments.tables.writer import means
 
 PAGE = Path(equal_terms.__file__).parents[1] / "README.md"
 MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=<!--|\Z)", re.DOTALL)
@@ -24,10 +25,6 @@ QUOTES = MARK.findall(PAGE.read_text(encoding="utf-8"))
 def compared(name):
     """All rows of comparisons."""
     rows = curve.read(name)
-    if name == "growing_detail":
-        return curve.compare(
-            rows, curve.ALIKE, scenes=[f"detail_{n}" for n in growing_detail.SIZES]
-        )
     pairs = [(s, p) for p in (curve.PAPERS, curve.CODED) for s in (curve.STORED, curve.ALIKE)]
     return [row for pair in pairs for row in curve.compare(rows, *pair)]
 

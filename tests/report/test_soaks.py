@@ -96,7 +96,8 @@ def test_a_hard_start_ends_finite_with_a_file(name):
     if spoil:
         spoil(trainer)
     with np.errstate(invalid="raise", divide="raise", over="raise"):
-        trainer.run(lambda trainer, losses, *rest: check(losses))
+        while trainer.iteration < trainer.preset.iterations:
+            check(trainer.step()[0])
         model = trainer.model()
         assert np.isfinite(trainer.parameters.vector).all() and trainer.iteration == 45
         decoded = decode(encode(model))

@@ -9,7 +9,7 @@ from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.watch import NotFinite
 from tutorials.experiments import baselines
-from tutorials.experiments.baselines import explicit, four_ways_to_move, plane_features
+from tutorials.experiments.baselines import explicit, plane_features
 
 from .small import MODULES, SMALL, model_of, random_parameters
 
@@ -185,16 +185,3 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
     path.write_bytes(b"ply\n")
     with pytest.raises(ValueError, match="a.ply: "):
         baselines.load(path)
-
-
-@pytest.mark.parametrize("kind", four_ways_to_move.WAYS.values(), ids=four_ways_to_move.WAYS)
-def test_gradients_of_the_three_ways(kind):
-    page, times = four_ways_to_move, np.linspace(0, 1, 40)
-    way = kind(page.bounce, np.random.default_rng(2))
-    direction = 1e-6 * np.random.default_rng(3).normal(size=way.parameters.vector.size)
-    slope = page.loss(way, times, page.bounce)[1].vector @ direction
-    way.parameters.vector += direction
-    above = page.loss(way, times, page.bounce)[0]
-    way.parameters.vector -= 2 * direction
-    below = page.loss(way, times, page.bounce)[0]
-    assert above - below == pytest.approx(2 * slope, rel=1e-4)

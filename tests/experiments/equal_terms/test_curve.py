@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tutorials.experiments.equal_terms import __main__ as command
-from tutorials.experiments.equal_terms import curve, growing_detail, numbers, picture, steps
+from tutorials.experiments.equal_terms import curve, numbers, picture, steps
 from tutorials.experiments.equal_terms.curve import ALIKE, HALF, STORED
 from tutorials.experiments.tables.methods import PAPERS
 from tutorials.experiments.tables.rows import make_row, run
@@ -91,14 +91,7 @@ def test_the_picture_and_the_tables_of_the_record(tmp_path, capsys):
     picture.draw(curve.read(), tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 20_000
     curve.tell(curve.read())
-    growing_detail.tell(curve.read("growing_detail"))
     assert "| bouncing |" in capsys.readouterr().out
-
-
-def test_the_size_of_a_detail_is_the_same_in_pixels():
-    small, large = growing_detail.described(64), growing_detail.described(256)
-    cells = [scene["bodies"][0]["texture"]["cell"] for scene in (small, large)]
-    assert cells[0] * small["lens"]["fl_x"] == pytest.approx(cells[1] * large["lens"]["fl_x"])
 
 
 def test_misuse_is_one_line(capsys):

@@ -37,14 +37,11 @@ def choose(method, changes=None):
     return replace(METHODS[method][1], **(changes or {}))
 
 
-def train(scene, method="d3dgs", seed=0, report=None, **changes):
-    """Fit a scene and return the model, ready to be rendered or saved. Raises NotFinite.
-
-    `report` is called after each step, for example a `training.progress.Progress`.
-    """
+def train(scene, method="d3dgs", seed=0, **changes):
+    """Fit a scene and return the model, ready to be rendered or saved. Raises NotFinite."""
     module, _ = module_of(method)
     with np.errstate(all="ignore"):  # the Trainer looks for NaN and infinity itself
-        return module.Trainer(scene, choose(method, changes), seed).run(report)
+        return module.Trainer(scene, choose(method, changes), seed).run()
 
 
 def load(path):

@@ -91,5 +91,7 @@ class Trainer(trainer.Trainer):
 def fit(scene, preset: Preset = TINY, seed=0, position_bits=10, stream=None):
     """Fit a scene and return the Trainer, which has the model and the history."""
     fitting = Trainer(scene, preset, seed, position_bits)
-    fitting.run(Progress(stream))
+    progress = Progress(stream)
+    while fitting.iteration < preset.iterations:
+        progress(fitting, *fitting.step())
     return fitting

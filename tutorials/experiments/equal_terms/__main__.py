@@ -14,7 +14,7 @@ from p4dgs_ref.lab.writer import grouped  # noqa: E402
 
 from .. import PICTURES  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
-from . import curve, growing_detail, numbers, picture, steps  # noqa: E402
+from . import curve, numbers, picture, steps  # noqa: E402
 
 
 def estimate(tasks, name):
@@ -33,22 +33,20 @@ def main(words):
     """Make what is missing; with --show, print and draw the record as it is."""
     parser = Parser(prog="equal_terms", description="Every method on equal terms.")
     parser.of_rows("report/equal_terms")
-    parser.add_argument("study", choices=("curve", "growing_detail"))
+    parser.add_argument("study", choices=("curve",))
     parser.add_argument("--estimate", action="store_true", help="say how long it takes, and stop")
     parser.add_argument("--show", action="store_true", help="print and draw the record as it is")
     options = parser.parse_args(words)
-    study = growing_detail if options.study == "growing_detail" else curve
     if options.estimate:
-        estimate(study.plan(), options.study)
+        estimate(curve.plan(), options.study)
     elif not options.show:
-        rows(study.plan(), options.study, options.folder, options.part, options.jobs)
+        rows(curve.plan(), options.study, options.folder, options.part, options.jobs)
         print(f"to extend the record, copy {options.folder}/{options.study}.csv over it")
     else:
-        study.tell(curve.read(options.study))
-        if study is curve:
-            steps.tell(curve.read())
-            numbers.tell(curve.read())
-            picture.draw(curve.read(), PICTURES / "equal_terms.png")
+        curve.tell(curve.read())
+        steps.tell(curve.read())
+        numbers.tell(curve.read())
+        picture.draw(curve.read(), PICTURES / "equal_terms.png")
 
 
 if __name__ == "__main__":

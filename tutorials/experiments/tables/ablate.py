@@ -18,7 +18,7 @@ import numpy as np
 
 from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.writer import grouped, means, text_table, twice_standard_error
+from p4dgs_ref.lab.writer import grouped, text_table, twice_standard_error
 from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import TINY
@@ -26,7 +26,7 @@ from p4dgs_ref.training.trainer import Trainer
 
 from ..baselines import d3dgs
 from .methods import PAPERS, columns, preset_of, save, task_of
-from .writer import seeds_of
+from .writer import means, seeds_of
 
 ITERATIONS = 6500
 NETWORK, WHOLE = "+ compact deformation MLP", "+ quantisation and entropy coding"

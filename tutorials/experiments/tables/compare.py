@@ -6,12 +6,12 @@ Rendering is timed in one process, all methods in turn.
 import numpy as np
 
 from p4dgs_ref.lab.clock import alternate, disturbance
-from p4dgs_ref.lab.writer import means, text_table
+from p4dgs_ref.lab.writer import text_table
 from p4dgs_ref.report.figures import draw_pictures, error_of
 
 from .methods import PAPERS, task_of
 from .rows import model_of
-from .writer import seeds_of
+from .writer import means, seeds_of
 
 TURNS = 5  # of the pictures that are timed
 ITERATIONS = 3800

@@ -6,12 +6,30 @@ over PSNR.
 """
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
-from p4dgs_ref.lab.writer import grouped, means
+from p4dgs_ref.lab.writer import grouped
 
 MIN_POINTS = 3  # of a curve
 MIN_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
+
+
+def means(rows, *keys):
+    """The means over scenes and seeds of the rows that agree in the keys; one row for each.
+
+    `name_spread` is half the range of the means of each seed. Fields that are no numbers, or that
+    some row lacks, are left out.
+    """
+    result = []
+    for values, group in grouped(rows, *keys).items():
+        seeds = sorted({row["seed"] for row in group})
+        result.append({**dict(zip(keys, values)), "seeds": len(seeds)})
+        for name in group[0]:
+            is_numeric = all(isinstance(row.get(name), (int, float)) for row in group)
+            if is_numeric and name not in (*keys, "seed"):
+                each = [np.mean([row[name] for row in group if row["seed"] == s]) for s in seeds]
+                result[-1][name] = float(np.mean(each))
+                result[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
+    return result
 
 
 def points_of(rows):
@@ -23,19 +41,6 @@ def points_of(rows):
         there.setdefault(key, []).append(row)
     whole = [row for group in there.values() if len(group) == len(scenes) for row in group]
     return means(whole, *keys)
-
-
-def of_every_seed(rows):
-    """The rows of trainings that have every seed of their method.
-
-    Beside means over seeds, the best of several single seeds would win by luck.
-    """
-    keys, seeds = ("method", "label", "iterations"), lambda group: {row["seed"] for row in group}
-    every = {method: seeds(group) for (method,), group in grouped(rows, keys[0]).items()}
-    there = grouped(rows, *keys)
-    return [
-        row for row in rows if seeds(there[tuple(row[key] for key in keys)]) == every[row["method"]]
-    ]
 
 
 def seeds_of(rows):
@@ -57,29 +62,6 @@ def best(points):
         if not chosen or point["held_back_db"] > chosen[-1]["held_back_db"]:
             chosen.append(point)
     return chosen
-
-
-def bd_rate(points, others):
-    """How many percent more bytes `points` need than `others` at equal PSNR, and None.
-
-    The mean is over the logarithm of the ratio and over the PSNRs that both curves reach
-    (Bjøntegaard). Where the curves cannot be compared, returns None and the reason.
-    """
-    fronts = [front(curve) for curve in (points, others)]
-    counts = [len(curve) for curve in fronts]
-    if min(counts) < MIN_POINTS:
-        lengths = " and ".join(map(str, counts))
-        return None, f"curves of {lengths} points; at least {MIN_POINTS} are needed"
-    ends = [(curve[0, 1], curve[-1, 1]) for curve in fronts]
-    low, high = max(start for start, _ in ends), min(end for _, end in ends)
-    if high - low < MIN_OVERLAP * min(end - start for start, end in ends):
-        ranges = " and ".join(f"{start:.2f} to {end:.2f} dB" for start, end in ends)
-        return None, f"the curves hardly overlap: {ranges}"
-    logs = [
-        PchipInterpolator(curve[:, 1], np.log(curve[:, 0])).integrate(low, high) / (high - low)
-        for curve in fronts
-    ]
-    return float(100 * np.expm1(logs[0] - logs[1])), None
 
 
 def factors(points, others):
