@@ -152,7 +152,7 @@ def render(arguments):
     _, model, _ = read_file(arguments.file)
     if arguments.scene:
         views = [
-            (f"{i:03d}", v.camera, v.time)
+            (f"view_{i:03d}", v.camera, v.time)
             for i, v in enumerate(p4.load_scene(arguments.scene).test)
         ]
     else:

@@ -1,6 +1,5 @@
 """The ledger of effects: counted work and bytes, gains, and hidden units that are always zero."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -51,19 +50,6 @@ def test_only_listed_effects_take_work_and_bytes(name):
         assert on["work"] > 0 and (sizes > 0) == (row["effect"] in (*MOTION, *VIEW))
     moving = ["view", "positional_encoding", "deformation", "deformed"]
     assert result["never_called"] == (moving if name == "static" else [])
-
-
-def test_a_file_has_the_ledger_of_its_model(tmp_path, capsys):
-    path = tmp_path / "glossy.p4dgs"
-    path.write_bytes(encode(trained("glossy").model()))
-    assert cli.run(["effects", str(path), "--json", "-o", str(tmp_path)], 0) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert {row["effect"] for row in result["effects"] if row["work"]} == {
-        *load_scene("glossy").effects
-    }
-    assert (tmp_path / "effects.png").stat().st_size > 10_000
-    assert cli.run(["effects", str(path), "--gain"], 0) == 2
-    assert "expected a scene for --gain" in capsys.readouterr().err
 
 
 def test_work_that_effects_share_belongs_to_none_of_them():
