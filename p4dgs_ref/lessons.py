@@ -342,8 +342,8 @@ def check_backward(exercise, mine, key, *wanted):
     """
 
     def vjp(inputs, cotangents):
-        made = mine(inputs, cotangents)
-        return gradients_of(made, wanted or made)
+        answer = mine(inputs, cotangents)
+        return gradients_of(answer, wanted or answer)
 
     roles = tuple(f"in_bar.{name}" for name in wanted or [""])
     cases, port = oracle().published.cases(key), oracle().FunctionPort(lambda **_: {}, vjp)
@@ -376,25 +376,25 @@ class WrongForm(TypeError):
     """An answer does not have the form that is asked for. The message is one sentence."""
 
 
-def outputs_of(made, names):
-    """Return what a forward made as {name: value}. Raises WrongForm for too few or too many."""
-    if isinstance(made, dict):
-        return made
-    outputs = made if isinstance(made, tuple) else (made,)
+def outputs_of(answer, names):
+    """Return what a forward returned as {name: value}. Raises WrongForm for too few or too many."""
+    if isinstance(answer, dict):
+        return answer
+    outputs = answer if isinstance(answer, tuple) else (answer,)
     if len(outputs) != len(names):
         asked = "the output" if len(names) == 1 else f"a tuple of {len(names)} outputs,"
-        got = f"{len(outputs)} of type {type(made).__name__}"
+        got = f"{len(outputs)} of type {type(answer).__name__}"
         raise WrongForm(f"expected {asked} {', '.join(names)}, got {got}")
     return dict(zip(names, outputs))
 
 
-def gradients_of(made, names):
-    """Return the gradients in `names` of those that a backward made. Raises WrongForm."""
-    if not isinstance(made, dict):
+def gradients_of(answer, names):
+    """Return the gradients in `names` of those that a backward returned. Raises WrongForm."""
+    if not isinstance(answer, dict):
         raise WrongForm(
-            f"expected a dictionary {{input name: gradient}}, got {type(made).__name__}"
+            f"expected a dictionary {{input name: gradient}}, got {type(answer).__name__}"
         )
-    return {name: made[name] for name in names if name in made}
+    return {name: answer[name] for name in names if name in answer}
 
 
 @np.errstate(all="ignore")
@@ -422,8 +422,7 @@ def problem(cases, port, roles):
         place = finding.message.partition(" (")[0]
         message = f": {difference(mine, right)}\n  Case {case.id}: {place}"
     if finding.kind in ("missing", "shape"):
-        absent = getattr(port, "types", {}).get(case.id, {}).get(name, "missing")
-        got = absent if mine is None else f"of the shape {list(mine.shape)}"
+        got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
         message = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
     if known:
         message += f"\n  It looks like this: {known}"
@@ -447,7 +446,7 @@ def difference(mine, right, example=""):
     """
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
     wrong = ~np.isclose(mine, right, rounding, 0)
-    lost = np.argwhere(np.isfinite(right) & ~np.isfinite(mine))[:1].tolist()
+    not_finite = np.argwhere(np.isfinite(right) & ~np.isfinite(mine))[:1].tolist()
     exact = right.astype(float)  # sums of squares of small integers would overflow
     factor = np.vdot(exact, mine) / np.vdot(exact, exact)
     telling = [
@@ -458,7 +457,7 @@ def difference(mine, right, example=""):
     unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
     some = f"{wrong.sum()} of {right.size} numbers"
     rules = (
-        *((True, f"{place or 'it'} is {mine[tuple(place)]}") for place in lost),
+        *((True, f"{place or 'it'} is {mine[tuple(place)]}") for place in not_finite),
         (not wrong.any(), "too few right digits"),
         (np.isclose(mine, right, near, 0).all(), "nearly right"),
         (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),

@@ -28,7 +28,7 @@ def visible(text, kept=""):
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
 
 
-def whisper(text):
+def write_stderr(text):
     """Print on stderr; where it is full, or its terminal closed, the command goes on."""
     with suppress(OSError):
         print(text, end="", file=sys.stderr, flush=True)
@@ -42,22 +42,22 @@ def progress(text=""):
     """
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns - 1
-        whisper(f"\r{visible(text)[:width]}\x1b[K")
+        write_stderr(f"\r{visible(text)[:width]}\x1b[K")
 
 
-def say(message):
+def print_message(message):
     """Print a message on stderr as one line, whatever it quotes."""
     progress()
-    whisper(f"p4dgs-ref: {visible(cut(str(message)))}\n")
+    write_stderr(f"p4dgs-ref: {visible(cut(str(message)))}\n")
 
 
-def caution(warning):
+def print_warning(warning):
     """Print a warning, if there is one, on stderr as one line."""
     if warning:
-        say(f"warning: {warning}")
+        print_message(f"warning: {warning}")
 
 
-def tell(text):
+def print_result(text):
     """Print a result; a reader that stops early, such as `head`, does not change the exit code."""
     progress()
     try:
@@ -68,7 +68,7 @@ def tell(text):
 
 def show(arguments, value, text):
     """Print the value as JSON with --json, otherwise the text."""
-    tell(json.dumps(value, indent=1) if arguments.json else text)
+    print_result(json.dumps(value, indent=1) if arguments.json else text)
 
 
 def ask(arguments, what, seconds):
@@ -77,8 +77,8 @@ def ask(arguments, what, seconds):
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     expected = "where there is no terminal to ask on"
     require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
-    say(estimate)
+    print_message(estimate)
     if not arguments.yes:
-        whisper("go on? [y/N] ")
+        write_stderr("go on? [y/N] ")
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise KeyboardInterrupt

@@ -21,7 +21,7 @@ from ..training import advice
 from ..training.fit import CHECKPOINT, fit, load_model
 from ..training.presets import choose
 from ..training.trainer import Trainer
-from . import UsageError, ask, caution, progress, require, show, tell, text
+from . import UsageError, ask, print_result, print_warning, progress, require, show, text
 
 
 def read_preset(name, changes=()):
@@ -75,7 +75,7 @@ def demo(arguments):
 def simulate(arguments):
     """Draw the pictures of a scene.json."""
     p4.simulate(arguments.scene, arguments.output, lambda i, n: progress(f"{i}/{n} pictures"))
-    tell(f"{arguments.output}: drawn")
+    print_result(f"{arguments.output}: drawn")
 
 
 def train(arguments):
@@ -87,12 +87,12 @@ def train(arguments):
     if not resume:
         estimate(arguments, Trainer(scene, preset))
     if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
-        caution(
+        print_warning(
             "no scene.json lists effects, so all are trained; "
             f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
         )
     for sentence in advice.before(scene, preset, arguments.seed):
-        caution(sentence)
+        print_warning(sentence)
     with writable_folder(arguments.output) as folder:
         trainer = fit(
             scene,
@@ -104,8 +104,8 @@ def train(arguments):
         )
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    caution(advice.after(trainer))
-    tell(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
+    print_warning(advice.after(trainer))
+    print_result(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
 
 
 def encode(arguments):
@@ -115,7 +115,7 @@ def encode(arguments):
         model, values = load_model(arguments.run)
         data = p4.encode(model)
         write_atomically(output, lambda file: file.write(data))
-    tell(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}")
+    print_result(f"{output}: {len(data):,} bytes, from iteration {values['iteration']}")
 
 
 def decode(arguments):
@@ -138,7 +138,7 @@ def decode(arguments):
         (staging / "model.json").write_text(
             json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
         )
-    tell(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json")
+    print_result(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json")
 
 
 def render(arguments):
@@ -165,7 +165,7 @@ def render(arguments):
             write_image(staging / f"{name}.png", (image * 255).round().astype(np.uint8))
         if not arguments.scene:
             (staging / "motion.gif").write_bytes(figures.gif_of(images))
-    tell(f"{output}: {len(images)} images")
+    print_result(f"{output}: {len(images)} images")
 
 
 def view(arguments):
@@ -173,7 +173,9 @@ def view(arguments):
     files = {name: read_file(name)[0] for name in arguments.files}
     output = arguments.output or Path(arguments.files[0]).with_suffix(".html")
     size = pages.view(files, output)
-    tell(f"{output}: {size:,} bytes, with {', '.join(arguments.files)}; open it in a browser")
+    print_result(
+        f"{output}: {size:,} bytes, with {', '.join(arguments.files)}; open it in a browser"
+    )
 
 
 def evaluate(arguments):
@@ -211,4 +213,6 @@ def inspect(arguments):
 def presets(arguments):
     """Print the presets beside the paper's values."""
     one = arguments.preset
-    tell(text.presets([read_preset(name) for name in ([one] if one else p4.PRESETS)], bool(one)))
+    print_result(
+        text.presets([read_preset(name) for name in ([one] if one else p4.PRESETS)], bool(one))
+    )

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from ..output import staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
-from . import ask, progress, require, show, tell
+from . import ask, print_result, progress, require, show
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
 
@@ -90,7 +90,7 @@ def classroom(arguments):
     from ..lab.classroom import hand_out
 
     done = hand_out(arguments.folder, arguments.only)
-    tell(
+    print_result(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
         f"write; hand out student/, keep key/; README.md explains what to do"
     )

@@ -10,23 +10,23 @@ from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
 from ..oracle.streams import export
 from ..splatting.table import to_markdown
-from . import progress, require, show, tell
+from . import print_result, progress, require, show
 
 
 def list_cases(arguments):
     """List the cases."""
-    tell(listing(published.read_manifest()))
+    print_result(listing(published.read_manifest()))
 
 
 def list_equations(arguments):
     """Print the table of equations."""
-    tell(to_markdown())
+    print_result(to_markdown())
 
 
 def export_vectors(arguments):
     """Copy the vectors into a folder."""
     count = export(arguments.folder)
-    tell(f"{arguments.folder}: {count} cases, copied from {published.path()}")
+    print_result(f"{arguments.folder}: {count} cases, copied from {published.path()}")
 
 
 def port_of(arguments):

@@ -12,14 +12,14 @@ from importlib import import_module
 
 from ..arithmetic import arithmetic
 from ..signals import deferred
-from . import caution, say, tell
+from . import print_message, print_result, print_warning
 
 
 class Parser(argparse.ArgumentParser):
     """argparse with its errors in one line."""
 
     def error(self, message):
-        say(f"{message}; `{self.prog} --help` explains")
+        print_message(f"{message}; `{self.prog} --help` explains")
         sys.exit(2)
 
 
@@ -27,7 +27,7 @@ class Version(argparse.Action):
     """The option --version; NumPy loads only where it is asked for."""
 
     def __call__(self, parser, *others):
-        tell(arithmetic())
+        print_result(arithmetic())
         parser.exit()
 
 
@@ -393,7 +393,7 @@ def run(argv, start):
     module, name = arguments.function.split(".")
     with warnings.catch_warnings():
         # In one line, at once; the place in the code means nothing to a user.
-        warnings.showwarning = lambda message, *place, **stream: caution(message)
+        warnings.showwarning = lambda message, *place, **stream: print_warning(message)
         try:
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
@@ -414,5 +414,5 @@ def run(argv, start):
             if not type(error).__module__.startswith("p4dgs_ref."):
                 raise
             code, message = 2, error
-    say(message)
+    print_message(message)
     return code

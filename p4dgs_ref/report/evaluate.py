@@ -53,9 +53,9 @@ def evaluate(
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
     if np.abs(model.background - scene.background).max() > 1 / 255:
-        theirs, ours = ("{:.3g} {:.3g} {:.3g}".format(*of.background) for of in (model, scene))
+        file, here = ("{:.3g} {:.3g} {:.3g}".format(*of.background) for of in (model, scene))
         warnings.warn(
-            f"the file has the background {theirs}, scene {scene.name} {ours}; expected equal "
+            f"the file has the background {file}, scene {scene.name} {here}; expected equal "
             "ones, by load_scene(..., background=...) or the effect `background` in scene.json",
             stacklevel=2,
         )

@@ -180,8 +180,8 @@ def rate(noisy, ctx, grids, mask, design):
     def back(L_rate_bar):
         rates_bar = back_rates(L_rate_bar=L_rate_bar)
         grids_bar = back_hash(rates_bar["R_hash"])["grids"]
-        of_anchors = back_anchor(rates_bar["R_anchor"])  # bits of f, s, l and O
-        bars = back_bits(concatenate_groups(*of_anchors.values()))
+        bits_bars = back_anchor(rates_bar["R_anchor"])  # bits of f, s, l and O
+        bars = back_bits(concatenate_groups(*bits_bars.values()))
         group_starts = np.cumsum((0, *design.widths[:-1]))
         q_bar = np.add.reduceat(bars["q"], group_starts, axis=1)
         return bars["f_noisy"], bars["mu"], bars["sigma"], q_bar, grids_bar

@@ -240,7 +240,7 @@ def test_a_terminal_shows_progress_until_something_else_is_printed(monkeypatch, 
     monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
     with redirect_stderr(terminal):
         base.progress("1 of 2\n\x1b[31m" + 500 * "x")
-        base.tell("done")
+        base.print_result("done")
     shown, clear = terminal.getvalue().split("\x1b[K")[:2]
     assert shown.startswith("\r1 of 2\\n\\x1b[31mxx") and len(shown) <= 80 and clear == "\r"
     base.progress("nothing where no terminal is")

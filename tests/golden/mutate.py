@@ -112,7 +112,8 @@ class Mutation(NamedTuple):
 def files():
     """Return [(module, its equation)] of all files that are mutated."""
     equations = [(eq.module.__name__, key) for key, eq in EQUATIONS.items()]
-    return equations + [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
+    helpers = [(f"p4dgs_ref.equations.{name}", key) for name, key in HELPERS.items()]
+    return [*equations, ("p4dgs_ref.splatting.factored", "projection"), *helpers]
 
 
 def mutations():
