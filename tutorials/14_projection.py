@@ -416,7 +416,7 @@ assert close(inner(D, dcov), inner(m_bar, dm))
 
 # %%
 s = np.tile([0.5, 0.1, 0.3], (N, 1))
-_, of_factors = factored.forward(x, s, r, **camera)
+_, of_factors = factored.forward(x, s, r, **camera, near=0.2, blur=0.3, tan_clamp=1.3)
 Sigma_of_s, saved_Sigma = covariance.forward(s, r)
 _, of_Sigma = projection.forward(x, Sigma_of_s, **camera)
 bars_of_factors = factored.backward(of_factors, np.zeros((N, 2)), conic_bar)

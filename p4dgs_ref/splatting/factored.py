@@ -26,9 +26,9 @@ def forward(
     focal,
     center,
     size,
-    near=0.2,
-    blur=0.3,
-    tan_clamp=1.3,
+    near,
+    blur,
+    tan_clamp,
 ):
     """Return what `projection` returns for the covariances of s and r.
 
@@ -43,7 +43,7 @@ def forward(
         adjugate = S[:, [1, 2, 0]] * S[:, [2, 0, 1]]
         det = (n * n * adjugate).sum(axis=1) + blur * (a + c - blur)  # a and c have the blur
     outputs, K = splats(mean2d, (a, b, c), det, depth, in_front, x.dtype)
-    visible = outputs[-1]
+    *_, visible = outputs
     m, det = np.where(visible[:, None, None], m, 0), np.where(visible, det, 1)
     return outputs, (saved_view, JW, m, s, r, R, det, blur, K, visible)
 

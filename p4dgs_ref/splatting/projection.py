@@ -38,7 +38,7 @@ def forward(
     with np.errstate(over="ignore", invalid="ignore"):  # splats beyond every image, culled below
         det = a * c - b * b
     outputs, K = splats(mean2d, (a, b, c), det, depth, in_front, x.dtype)
-    visible = outputs[-1]
+    *_, visible = outputs
     m, Sigma = (np.where(visible[:, None, None], a, 0) for a in (JW, Sigma))
     return outputs, (saved_view, m, Sigma, K, visible, x.dtype)
 

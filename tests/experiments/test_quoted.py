@@ -13,6 +13,7 @@ from p4dgs_ref.lab.writer import read_csv
 from tutorials.experiments import RECORDS, equal_terms
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve, numbers, steps
+from tutorials.experiments.tables import ablate
 from tutorials.experiments.tables.rows import TEXTS
 from tutorials.experiments.tables.writer import means
 
@@ -64,3 +65,12 @@ def is_in(numeral, values):
 def test_the_numbers_are_those_of_the_record(name, kind, text):
     values, found = values_of(name, kind), NUMERAL.findall(re.sub(r"`[^`]*`", "", text))
     assert found and not [one for one in found if not is_in(one, values)]
+
+
+def test_the_first_page_shows_table_3_beside_the_papers():
+    page = (PAGE.parents[2] / "README.md").read_text(encoding="utf-8")
+    rows = [row for row in read_csv(RECORDS / "ablate.csv", TEXTS) if row["scene"] == "bouncing"]
+    sizes = {row["label"]: row["bytes"] for row in means(rows, "label")}
+    for label, papers in ablate.PAPER.items():
+        theirs = f"{float(papers.split()[0]):.3g} MB"
+        assert f"| {label} | {theirs} | {sizes[label]:,.0f} bytes |" in page, label
