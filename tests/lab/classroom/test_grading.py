@@ -309,9 +309,9 @@ REFUSED = {
     "import p4dgs_ref.equations.offsets": "p4dgs_ref.equations.offsets",
     "from ..table import EQUATIONS": "p4dgs_ref.table",
     "from p4dgs_ref import model": "p4dgs_ref.model",
-    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.table",
+    "from p4dgs_ref import EQUATIONS": "p4dgs_ref.splatting",
     "import importlib; importlib.import_module('p4dgs_ref.oracle')": "p4dgs_ref.oracle",
-    "__import__('p4dgs_ref.lab.classroom.held_back')": "p4dgs_ref.lab",
+    "__import__('p4dgs_ref.lab.classroom.grading')": "p4dgs_ref.lab",
     "import sys; sys.modules['p4dgs_ref.equations.offsets']": "KeyError",
     "import p4dgs_ref; p4dgs_ref.equations.offsets": "AttributeError",
 }
