@@ -144,7 +144,9 @@ def test_the_command_prints_every_warning_beside_its_result(tmp_path, capsys, mo
 def test_the_command_line_prints_a_warning_at_once_and_as_one_line(capsys, monkeypatch):
     working = "the work goes on"
     monkeypatch.setattr(
-        text, "presets", lambda *args: warnings.warn("views:\x1b\nfew") or cli.say(working)
+        text,
+        "presets",
+        lambda *args: warnings.warn("views:\x1b\nfew") or cli.print_message(working),
     )
     assert cli.run(["presets"], 0.0) == 0
     told = capsys.readouterr().err.splitlines()
