@@ -110,7 +110,7 @@ SOURCES = by_field(
         "opacity_bias upright deformation_gain": "off, as the parents (Q28)",
         "lambda_rate": "HAC (Q12)",
         "lambda_ssim": "3DGS (Q13)",
-        "decay_from": "ours (Q17)",
+        "decay_from": "chosen here (Q17)",
         "lr_x": "Scaffold-GS (Q14)",
         "lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s": "paper; last: Scaffold-GS (Q17)",
         "lr_d": "paper; last: D3DGS (Q17)",
@@ -118,7 +118,7 @@ SOURCES = by_field(
         "grow grow_from grow_every grow_until collect_from": "Scaffold-GS (Q16)",
         "gradient_threshold grow_hierarchy grow_depth": "Scaffold-GS (Q16)",
         "success min_opacity": "Scaffold-GS (Q15, Q16)",
-        "mask_from": "ours (Q15)",
+        "mask_from": "chosen here (Q15)",
     }
 )
 

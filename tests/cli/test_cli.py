@@ -184,7 +184,7 @@ def test_the_paper_presets_say_where_each_value_comes_from(ok):
     """The paper gives fewer than half of the fields; nothing else may pass as the paper's."""
     lines = ok("presets paper_synthetic").splitlines()[2:]
     sources = {line.split()[0]: line.split("  ")[-1].strip() for line in lines}
-    known = {"paper", "Scaffold-GS", "HAC", "D3DGS", "3DGS", "ours", "off"}
+    known = {"paper", "Scaffold-GS", "HAC", "D3DGS", "3DGS", "chosen", "off"}
     assert {source.split()[0].strip(";,") for source in sources.values()} == known
     assert [*sources.values()].count("paper") == 11 and sources["lambda_rate"] == "HAC (Q12)"
 
