@@ -221,6 +221,7 @@ LINES = [
     ("presets huge", ("huge", "tiny")),
     ("train scene -o new --preset huge", ("huge", "smoke")),
     ("demo --seed two", ("--seed", "two", "whole number")),
+    ("train scene -o new --preset smoke --set lr_c=1e39,1e39", ("lr_c", "1e+39")),
     ("demo --seed -1", ("--seed", "-1")),
     ("demo --seed 1.5", ("--seed",)),
     ("demo --set nonsense", ("'nonsense'", "presets")),

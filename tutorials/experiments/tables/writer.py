@@ -1,4 +1,4 @@
-"""Curves of PSNR over bytes: their fronts, and differences of two of them.
+"""Means over seeds, and curves of PSNR over bytes: their fronts and their factors.
 
 A curve is a list of points (bytes, PSNR in dB). In a comparison only its front counts: the points
 with a higher PSNR than all smaller files. Between them, the logarithm of the bytes is interpolated
@@ -8,9 +8,6 @@ over PSNR.
 import numpy as np
 
 from p4dgs_ref.lab.writer import grouped
-
-MIN_POINTS = 3  # of a curve
-MIN_OVERLAP = 0.5  # of the shorter of two ranges of PSNR
 
 
 def means(rows, *keys):
