@@ -244,8 +244,8 @@ tangents, _ = lessons.adjoint(
 
 # %% [markdown]
 # The next figure shows the gradients that anchors around a camera receive. A cotangent of the
-# length gives arrows of equal size along the rays. A cotangent of the direction gives arrows
-# perpendicular to the rays, which get shorter with the distance.
+# length gives arrows of equal size along the rays (blue). A cotangent of the direction gives arrows
+# perpendicular to the rays, which get shorter with the distance (red).
 
 # %%
 directions = np.arange(12) * np.pi / 6
@@ -259,63 +259,23 @@ of_direction = gradient(ring, origin, d_vc_bar=to_the_right)
 radial_part = (of_direction * ring).sum(axis=1)
 assert np.abs(radial_part).max() < 1e-15
 
-
 # %%
-def draw_arrows(ax, arrows, color, title):
-    """Draw the gradients of all anchors on the ring as arrows."""
-    ax.plot(
-        0,
-        0,
-        "k^",
-        ms=14,
-    )
-    ax.plot(
-        ring[:, 0],
-        ring[:, 1],
-        "o",
-        ms=6,
-        color="0.5",
-    )
-    ax.quiver(
-        *(ring[:, 0], ring[:, 1]),
-        *(arrows[:, 0], arrows[:, 1]),
-        color=color,
-        angles="xy",
-        scale_units="xy",
-        scale=0.8,
-        width=0.008,
-        zorder=3,
-    )
-    lessons.finish(
-        ax,
-        xlabel="x (scene units)",
-        aspect="equal",
-        xlim=(-5.6, 5.6),
-        ylim=(-5.6, 5.6),
-        title=title,
-        title_size=14,
-    )
-
-
-figure, axes = plt.subplots(
-    1,
-    2,
-    figsize=(11, 6.2),
-    sharey=True,
-    layout="constrained",
+figure, ax = plt.subplots(figsize=(7.5, 7))
+ax.plot(0, 0, "k^", ms=14)
+ax.plot(*ring[:, :2].T, "o", color="0.5")
+for arrows, color in zip((of_length, of_direction), lessons.COLORS):
+    places = *ring[:, :2].T, *arrows[:, :2].T
+    ax.quiver(*places, color=color, angles="xy", scale_units="xy", scale=0.8, width=0.006)
+lessons.finish(
+    ax,
+    xlabel="x (scene units)",
+    ylabel="y (scene units)",
+    aspect="equal",
+    title="Gradients of anchors around a camera (triangle):\n"
+    r"along the ray from $\bar\delta_{vc} = 1$, across it from $\bar d_{vc} = (1, 0, 0)$",
+    title_size=13,
 )
-radial = r"from $\bar\delta_{vc} = 1$: along the ray, equally long"
-sideways = r"from $\bar d_{vc} = (1, 0, 0)$: across the ray, fading as $1/\delta_{vc}$"
-draw_arrows(axes[0], of_length, lessons.COLORS[0], radial)
-draw_arrows(axes[1], of_direction, lessons.COLORS[1], sideways)
-axes[0].set_ylabel("y (scene units)")
-axes[0].text(0, -0.65, "camera", ha="center", fontsize=11)
-axes[1].text(2.8, -2.6, "anchor", color="0.4")
-size = "gradient $\\bar x_a$,\nlength 1 drawn as 1.25"
-axes[0].text(-5.5, -5.4, size, color=lessons.COLORS[0], fontsize=11)
-lessons.show(
-    figure, "02_view", title="The gradients that a distance and a direction send to an anchor"
-)
+lessons.show(figure, "02_view")
 
 # %% [markdown]
 # ## Break it

@@ -62,10 +62,9 @@ def miss(shown):
     return rms(np.stack(off))
 
 
-def rms(a, axis=None):
+def rms(a):
     """Return the root of the mean square."""
-    squares = (a**2).mean(axis=axis)
-    return np.sqrt(squares)
+    return np.sqrt((a**2).mean())
 
 
 shown = {
@@ -368,44 +367,27 @@ assert close(full, inner(x_t_bar + through_field, arrow), 1e-6)
 
 # %% [markdown]
 # Why not use the full gradient? Each wave multiplies the gradient that passes through it by $2^j$.
-# With ten frequencies and weights drawn at random, as training begins with them, the fastest wave
-# alone sends back more than the direct way, and the sign of its slope changes every $\pi/2^9$ scene
-# units. Such a gradient says little about where the Gaussian should go. In the demo, which has four
-# frequencies and is trained, what comes through the field is 7 percent of the direct gradient.
+# With ten frequencies and weights drawn at random, as training begins with them, what comes through
+# the field is far larger than the direct gradient, and the slope of its fastest wave changes its
+# sign every $\pi/2^9$ scene units. Such a gradient says little about where the Gaussian should go.
+# In the demo, which has four frequencies and is trained, what comes through the field is 7 percent
+# of the direct gradient.
 
 # %%
 L_x, N = 10, 400
 field = random_field(rng, L_x, 6, 64, 64)
 x = rng.uniform(-1.3, 1.3, (N, 3))
-x_t_bar = rng.normal(size=(N, 3))
-others = [np.zeros((N, 3)), np.zeros((N, 4))]
-
-_, net = mlp.forward(rows_of(x, field), *one_network(field))
-delta_bars = np.concatenate([x_t_bar, *others], axis=1)
-rows_bar = mlp.backward(net, delta_bars)["x"]
-E, saved_x = positional_encoding.forward(x, L_x)
-E_bar = rows_bar[:, : E.shape[1]]
-s, c = waves_of(E, 3)
-s_bar, c_bar = waves_of(E_bar, 3)
-frequencies = 2.0 ** np.arange(L_x)
-slopes = c * s_bar - s * c_bar
-parts = frequencies[:, None, None] * slopes
 _, saved = deformation.forward(x, t, **field)
-through_field = deformation.backward(saved, x_t_bar, *others)["x"]
-all_parts = E_bar[:, :3] + parts.sum(axis=0)
-assert close(all_parts, through_field, 1e-9)
-
-
-strength = rms(parts, axis=(1, 2))
-assert strength.argmax() == L_x - 1
-assert strength[-1] > rms(x_t_bar)
+bars = rng.normal(size=(N, 3)), np.zeros((N, 3)), np.zeros((N, 4))
+at_first = rms(deformation.backward(saved, *bars)["x"])
+assert at_first > 10
 
 none = [np.zeros((len(canonical), 0))] * 2
 _, saved = deformation.forward(canonical, t, *model.networks["psi_d"], L_x=4, L_t=4)
 x_t_bar = rng.normal(size=canonical.shape)
 of_demo = deformation.backward(saved, x_t_bar, *none)["x"]
 assert abs(rms(of_demo) / rms(x_t_bar) - 0.07) < 0.01
-print(f"fastest wave {strength[-1]:.1f}, direct 1; in the demo all waves {rms(of_demo):.2f}")
+print(f"direct 1, through the field at first {at_first:.0f}, in the demo {rms(of_demo):.2f}")
 
 # %% [markdown]
 # ## Break it
@@ -414,6 +396,8 @@ print(f"fastest wave {strength[-1]:.1f}, direct 1; in the demo all waves {rms(of
 # training run can show the mistake. The adjoint identity of the equation does.
 
 # %%
+E, saved_x = positional_encoding.forward(x, L_x)
+s, c = waves_of(E, 3)
 E_bar = rng.normal(size=E.shape)
 s_bar, c_bar = waves_of(E_bar, 3)
 slopes = c * s_bar - s * c_bar

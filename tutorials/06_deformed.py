@@ -10,7 +10,6 @@
 
 # %%
 import numpy as np
-from matplotlib.patches import Ellipse
 
 from p4dgs_ref import lessons
 
@@ -43,7 +42,7 @@ for column, t in zip(axes.T, (0, 0.25, 0.5)):
         show.ellipses(ax, mean2d, cov2d, fc="none", ec=thread.color, lw=2)
     column[0].set_title(f"t = {t}: $x + \\Delta x$")
     column[1].set_title("$x$ alone")
-lessons.show(figure, "06_deformed_canonical", title="Anchor 29 at three times, and at rest")
+lessons.show(figure, "06_deformed", title="Anchor 29 at three times, and at rest")
 
 # %% [markdown]
 # ## Claim
@@ -96,71 +95,6 @@ assert np.array_equal(r_unchanged, r)
 with_negative_scale, _ = covariance.forward(s_t, r_t)
 with_positive_scale, _ = covariance.forward(np.abs(s_t), r_t)
 assert close(with_negative_scale, with_positive_scale)
-
-# %% [markdown]
-# The figure shows one canonical Gaussian and its state at six times. The demo's field only moves
-# its Gaussians, so the corrections are written down here: the Gaussian is thrown, stretched, and
-# rotated by a growing $\Delta r$.
-
-# %%
-times = np.linspace(0, 1, 6)
-zero = np.zeros(6)
-half_angle = np.radians(150 * times) / 2
-canonical = [np.zeros((6, 3)), np.tile([0.16, 0.07, 0.05], (6, 1)), np.eye(4)[[0] * 6]]
-thrown = np.stack([2.4 * times, 3.2 * times * (1 - times), zero], axis=1)
-stretched = np.stack([0.12 * times, zero, zero], axis=1)
-rotated = np.stack([zero, zero, zero, np.tan(half_angle)], axis=1)
-(track, sizes, turns), _ = deformed.forward(*canonical, thrown, stretched, rotated)
-Sigma, _ = covariance.forward(sizes, turns)
-angles = np.degrees(2 * np.arctan2(turns[:, 3], turns[:, 0]))
-assert close(angles, 150 * times)
-
-# %%
-figure, ax = plt.subplots(figsize=(10.5, 5))
-fine = np.linspace(0, 1, 101)
-ax.plot(
-    2.4 * fine,
-    3.2 * fine * (1 - fine),
-    "k:",
-    lw=1.5,
-)
-for i, t in enumerate(times):
-    variances, axes_of = np.linalg.eigh(Sigma[i, :2, :2])
-    width, height = 2 * np.sqrt(variances)
-    tilt = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
-    color = "0.6" if i == 0 else lessons.COLORS[0]
-    place_x, place_y, _ = track[i]
-    shape = Ellipse(
-        (place_x, place_y),
-        width,
-        height,
-        angle=tilt,
-        alpha=0.75,
-        fc=color,
-        ec="k",
-    )
-    ax.add_patch(shape)
-    ax.text(
-        place_x,
-        place_y - 0.5,
-        f"t = {t:.1f}\n{angles[i]:.0f}°",
-        ha="center",
-        fontsize=12,
-    )
-ax.text(1.7, 0.8, r"$x + \Delta x(t)$")
-ax.text(-0.4, 0.1, "canonical", color="0.4")
-ax.text(0.25, 0.65, "at time t", color=lessons.COLORS[0])
-lessons.finish(
-    ax,
-    xlabel="x (scene units)",
-    ylabel="y (scene units)",
-    aspect="equal",
-    xlim=(-0.5, 3),
-    ylim=(-0.65, 1.35),
-    title="One canonical Gaussian at six times: thrown, stretched, rotated",
-    title_size=15,
-)
-lessons.show(figure, "06_deformed")
 
 # %% [markdown]
 # ## Backward by hand
