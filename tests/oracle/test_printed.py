@@ -71,7 +71,7 @@ RANGES = [
     (id, precision, name.removeprefix("range."))
     for (id, precision), tensors in scales.measured().items()
     for name in tensors
-    if name.startswith("range.") and name != "range.out.visible"
+    if name.startswith("range.")
 ]
 
 
@@ -91,7 +91,22 @@ def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
         gone = np.where(lost, value, a).astype(precision)
         result = checker.judge_answer(case, {**right, name: gone})
         near_zero = value == 0 and result.verdict == "pass"  # 0 may be within the bound
-        assert near_zero or result.verdict == "acceptable" or name in result.unasked
+        is_nan = np.isnan(value) and name.startswith("out.")
+        assert near_zero or is_nan == (result.verdict == "fail") != (name in result.unasked)
+
+
+@pytest.mark.parametrize("name", ["H-G3.1e4px", "H-G4.scale1e30"])
+def test_what_float32_culls_is_zero_in_all_tensors_or_wrong(name):
+    case = case_of(f"projection/{name}")
+    right = in_precision(expected(case.tensors), "float32")
+    culled = {n: np.zeros_like(a) for n, a in right.items()}
+    assert checker.judge_answer(case, culled).verdict == "acceptable"
+    for got, changes in (right, {"out.visible": ~right["out.visible"]}), (culled, right):
+        for tensor in changes.keys() - case.unasked("float32"):
+            for wrong in (changes[tensor], changes[tensor] * np.float32(np.nan)):
+                result = checker.judge_answer(case, got | {tensor: wrong})
+                is_same = np.array_equal(wrong, got[tensor])
+                assert is_same or result.verdict == "fail", tensor
 
 
 # --- the data -----------------------------------------------------------------------------------
