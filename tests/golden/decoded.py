@@ -53,7 +53,6 @@ def decoded(data):
     return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
-
 def write_answers(folder):
     """Write what is found in the conformance streams to `folder`/codec, as a port would."""
     place, refusals, rows = Path(folder) / "codec", {}, read_rows()

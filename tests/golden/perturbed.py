@@ -87,7 +87,8 @@ def main():
     ]
     with TABLE.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([FIELDS, *rows])
-    print(f"{len(rows)} changes are not noticed, {sum(not row[-1] for row in rows)} without a reason")
+    missing = sum(not row[-1] for row in rows)
+    print(f"{len(rows)} changes are not noticed, {missing} without a reason")
 
 
 if __name__ == "__main__":
