@@ -25,8 +25,8 @@ rng = np.random.default_rng(8)
 
 # %% [markdown]
 # ## What fails without it
-# With one step for all anchors, a step that is fine enough for one of them wastes bits on another,
-# and a step that is cheap enough for this one ruins the first. The same rounding error does not
+# One step for all anchors is too coarse for some of them and too fine for others: a coarse step
+# damages what is seen, and a fine one spends bits on what is not. The same rounding error does not
 # matter equally everywhere.
 #
 # The left side shows the scene of `demo.p4dgs` with all features rounded to one coarse step, 2. For

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can look up an anchor by hand, including the hash, and send a
 # gradient to a grid of which only the signs are used. **Before it:** `07_noise_and_rounding` for
-# straight-through. **Takes** four seconds of machine time on two cores, 30 minutes of reading and
+# straight-through. **Takes** four seconds of machine time on two cores, 25 minutes of reading and
 # 30 of exercises.
 #
 # **Files:** Eq. (9) [hash_grid.py](../p4dgs_ref/equations/hash_grid.py),
@@ -154,8 +154,8 @@ assert close(h, (located @ signs).reshape(A, levels * F))
 x_29 = model.anchors.x_a[thread.index]
 h_29, _ = hash_grid.forward(x_29[None], *model.box, model.grids, model.design.grid)
 (x_0, y_0, z_0), (x_1, y_1, _) = model.box
-u_x, u_y = np.meshgrid(np.linspace(x_0, x_1, 161), np.linspace(y_0, y_1, 161))
-plane = np.stack([u_x, u_y, 0 * u_x + z_0], axis=-1).reshape(-1, 3)
+x, y = np.meshgrid(np.linspace(x_0, x_1, 161), np.linspace(y_0, y_1, 161))
+plane = np.stack([x, y, 0 * x + z_0], axis=-1).reshape(-1, 3)
 values, _ = hash_grid.forward(plane, *model.box, model.grids, model.design.grid)
 
 # %%
@@ -348,8 +348,8 @@ gains.show(
 # **Often misunderstood**
 # - *The grid stores $h$.* It stores signs, and $h$ is interpolated between them, so neighbours get
 #   similar contexts.
-# - *The grid stores the scene.* It only says what to expect. With any other grid the decoder would
-#   read the same numbers from a longer file.
+# - *The grid stores the scene.* It only says what to expect at a place, and how finely to round
+#   there. The numbers of the anchors are coded apart from it.
 # - *A collision is an error.* Encoder and decoder collide alike; it costs precision of the guess.
 
 # %% [markdown]
