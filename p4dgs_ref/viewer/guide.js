@@ -156,9 +156,10 @@
       page.openChosen();
       return;
     }
-    const isExploring = fields.step === EXPLORE;
+    const { step: asked = STEPS[0] } = fields;
+    const isExploring = asked === EXPLORE;
     // Links in the tutorials have numbers, from before the guide had all its steps.
-    const isMeant = (name) => [name, articles.get(name).dataset.number].includes(fields.step);
+    const isMeant = (name) => [name, articles.get(name).dataset.number].includes(asked);
     enter(isExploring ? EXPLORE : (STEPS.find(isMeant) ?? STEPS[0]));
     if (isExploring) page.arrange({ playing: !isStill() });
     const [azimuth, elevation, ...far] = numbers("camera");

@@ -269,8 +269,8 @@
     return every(R) > 1 ? `Only one line in ${every(R)} is drawn.` : null;
   }
 
-  /** The nodes that the selected anchor reads at a level, [{at, share}], the largest share first; the
-   *  F signs of a node begin `at`. */
+  /** The nodes that the selected anchor reads at a level, [{at, share}], the largest share first.
+   *  The F signs of a node begin `at`. */
   function nodesRead({ model, selected, level }) {
     const { axes, R, first, T } = levelOf(model, level);
     const place = axes.map((axis) => (model.positions[3 * selected + axis] / 65535) * (R - 1));
