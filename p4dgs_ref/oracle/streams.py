@@ -102,14 +102,13 @@ def export(folder):
 
     Raises OutputError where the folder holds other things, because files could be overwritten.
     """
-    place = Path(folder)
-    if place.is_dir() and any(place.iterdir()) and not (place / "manifest.json").is_file():
-        raise OutputError(
-            f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
-        )
-    with staged_folder(folder) as staging:
+    place, manifest = Path(folder), read_manifest()
+    with staged_folder(place) as staging:
+        if any(place.glob("[!.]*")) and not (place / "manifest.json").is_file():
+            raise OutputError(
+                f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
+            )
         for file in filter(Path.is_file, FOLDER.iterdir()):
             shutil.copyfile(file, staging / file.name)
         shutil.copytree(STREAMS, staging / "streams")
-    manifest = read_manifest()
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
