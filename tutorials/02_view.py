@@ -199,13 +199,14 @@ of_length = gradient(anchors, x_c, delta_vc_bar=delta_bar)
 assert np.array_equal(of_length, d_vc * delta_bar)
 
 # %% [markdown]
-# For the direction we use the quotient rule, then substitute $v = \delta\,d_{vc}$ and
-# $d\delta = d_{vc}\cdot dv$. With $d(d_{vc})$ for the change of the direction,
+# For the direction we use the quotient rule, then substitute $v = \delta\,d_{vc}$ and $d\delta =
+# d_{vc}\cdot dv$. With $d(d_{vc})$ for the change of the direction,
 # $$d(d_{vc}) = \frac{dv}{\delta} - \frac{v\,d\delta}{\delta^2}
 # = \frac{1}{\delta}\bigl(I - d_{vc}d_{vc}^T\bigr)\,dv.$$
-# The matrix in brackets is a *projector*. It removes the component of $dv$ along $d_{vc}$ and keeps
-# the component perpendicular to it. This makes sense, because a step along the ray does not change
-# the direction in which the anchor is seen.
+# Here $I$ is the identity and $T$ stands for transposing. The matrix in brackets is a *projector*.
+# It removes the component of $dv$ along $d_{vc}$ and keeps the component perpendicular to it. This
+# makes sense, because a step along the ray does not change the direction in which the anchor is
+# seen.
 
 # %%
 projector = np.eye(3) - d_vc[:, :, None] * d_vc[:, None, :]  # [A, 3, 3]
@@ -271,6 +272,8 @@ lessons.finish(
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
+    xlim=(-5.4, 5.4),
+    ylim=(-5.4, 5.4),
     title="Gradients of anchors around a camera (triangle):\n"
     r"along the ray from $\bar\delta_{vc} = 1$, across it from $\bar d_{vc} = (1, 0, 0)$",
     title_size=13,
