@@ -400,6 +400,23 @@ lessons.check_backward("03.3", my_mlp_backward, "mlp")
 lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check DIR --only opacity` checks what a port wrote; `masking` and `mlp` are
+# checked in the same way. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, but the paper if
+# $\alpha \ge \tau_\alpha$. On random inputs both give the same result, so one of the golden cases
+# has an opacity exactly at the threshold.
+
+
+# %%
+def strict_masking(tau_alpha, **given):
+    just_above = np.nextafter(tau_alpha, np.inf)
+    return masking.forward(tau_alpha=just_above, **given)[0]
+
+
+lessons.passes("opacity", "masking", "mlp")
+lessons.caught(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")
+
+# %% [markdown]
 # ## For ports
 # The slope $1 - \alpha^2$ loses its digits where $\alpha$ is nearly 1. The code computes it without
 # the subtraction:
@@ -464,20 +481,3 @@ lessons.label(
     (10, 1e-3),
 )
 lessons.show(figure, "03_opacity_and_masking_slope")
-
-# %% [markdown]
-# ## Check your port
-# `p4dgs-ref oracle check DIR --only opacity` checks what a port wrote; `masking` and `mlp` are
-# checked in the same way. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, but the paper if
-# $\alpha \ge \tau_\alpha$. On random inputs both give the same result, so one of the golden cases
-# has an opacity exactly at the threshold.
-
-
-# %%
-def strict_masking(tau_alpha, **given):
-    just_above = np.nextafter(tau_alpha, np.inf)
-    return masking.forward(tau_alpha=just_above, **given)[0]
-
-
-lessons.passes("opacity", "masking", "mlp")
-lessons.caught(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")

@@ -122,18 +122,17 @@ def letters(text):
 def is_introduced(letter, prose):
     """Whether a cell says what a letter is: in words beside it, or on the left of an equation."""
     for formula in MATH.finditer(prose):
-        parts = re.split(r"\\q?quad|,\s|;", formula[1] or formula[2])
-        lefts = [part.split("=")[0] for part in parts if "=" in part]
+        lefts = re.findall(r"(?:[$,;]|quad)([^$,;=]*)=", formula[0])
         if any(letter in letters(left) for left in lefts):
             return True
         names = letters(formula[0])
         if letter in names and len(names) == formula[0].count(",") + 1:  # alone, or in a list
-            before = prose[: formula.start()].replace("*", "").split()[-1:]
+            before = re.findall(r"([A-Za-z]+)\**,?\s$", prose[: formula.start()])
             after = prose[formula.end() :].lstrip()
             counted = letter in glossary.AXES and re.match(r"\w+(s|ren)\b", after)
             if counted or re.match(r"(is|are|for|has|stands|may)\b|, the", after):
                 return True
-            if before and before[0].strip(",").isalpha() and before[0].lower() not in USED:
+            if before and before[0].lower() not in USED:
                 return True
     return False
 
@@ -146,7 +145,9 @@ def test_paths_introduce_each_letter_of_the_glossary_where_they_first_use_it(pat
     for tutorial in TUTORIALS:
         cells = notebooks.cells(source(tutorial)) if tutorial.name[:2] in path else ()
         for cell in (cell for cell in cells if cell.prose):
-            used = {name for math in MATH.finditer(cell.text) for name in letters(math[0])} & known
-            for name in sorted(used - met):
+            used = {name for math in MATH.finditer(cell.text) for name in letters(math[0])}
+            assert "u" not in used or "07" in tutorial.name, tutorial  # the noise alone
+            assert "L" not in used or "05" in tutorial.name, tutorial  # frequencies alone
+            for name in sorted((used & known) - met):
                 assert is_introduced(name, cell.text), f"{tutorial.name}, line {cell.line}: {name}"
             met |= used
