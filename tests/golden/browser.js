@@ -231,6 +231,18 @@ async function lambdas(browser) {
   check(`"${said}"`, right.test(said));
   const sizes = await evaluate("page.rates.map(({ data }) => data.length)");
   check(`bytes ${sizes}`, sizes.every((size, i) => i === 0 || size < sizes[i - 1]));
+  const one = join(ROOT, "p4dgs_ref", "oracle", "streams_v1", "one_anchor.p4dgs");
+  const data = base64(readFileSync(one));
+  await show(browser, `${ours("demo.html")}#step=context`);
+  await until(browser, "page.state.selected === 29", "the anchor is not that of the tutorials");
+  await evaluate(`{ const dataTransfer = new DataTransfer();
+    const bytes = Uint8Array.from(atob("${data}"), (letter) => letter.charCodeAt(0));
+    dataTransfer.items.add(new File([bytes], "one.p4dgs"));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer })); }`);
+  await until(browser, "page.state.name === 'one.p4dgs'", "a file does not open");
+  check("its anchor", (await evaluate("page.state.selected")) === 0);
+  const option = await evaluate("$('scene').selectedOptions[0]?.text");
+  check(`the list says ${option}`, option?.includes("one.p4dgs"));
 }
 
 /** Links: what they keep, and what is no value. */

@@ -212,10 +212,10 @@
     const step = (name) => document.querySelector(`#steps [value=${name}]`).click();
     const { state } = page;
     step("splatting");
-    await use("painted", $("painted").max);
+    await use("splats", $("splats").max);
     const all = picture();
     for (const share of [0, 0.5]) {
-      await use("painted", String(Math.round(share * Number($("painted").max))));
+      await use("splats", String(Math.round(share * Number($("splats").max))));
       check(`${share} of the splats give the whole picture`, !isSame(all, picture()));
     }
     const weights = /: ([\d. +]+); the background gets ([\d.]+)/.exec($("pixel").innerText);
