@@ -223,9 +223,19 @@
       await use("splats", String(Math.round(share * Number($("splats").max))));
       check(`${share} of the splats give the whole picture`, !isSame(all, picture()));
     }
-    const weights = /: ([\d. +]+); the background gets ([\d.]+)/.exec($("pixel").innerText);
-    const sum = weights[1].split(" + ").reduce((sum, weight) => sum + Number(weight), 0);
-    check(`weights of ${sum} and ${weights[2]}`, Math.abs(sum + Number(weights[2]) - 1) < 0.05);
+    const rests = [];
+    for (const share of [0, 0.15, 0.2, 0.25, 0.3, 0.5, 1]) {
+      const count = Math.round(share * Number($("splats").max));
+      await use("splats", String(count));
+      const { splats, model, camera } = state.frame;
+      const { transmittance } = p4dgs.compositing(splats, draw.settings(model, camera));
+      const [u, v] = state.pixel.map((share) => Math.round(share * camera.size[0] - 0.5));
+      const rest = Number(/background gets ([-\d.]+)/.exec($("pixel").innerText)[1]);
+      const gap = rest - transmittance[v * camera.size[0] + u];
+      check(`${count} splats leave ${rest} and ${gap}`, Math.abs(gap) < 0.01);
+      rests.push(rest);
+    }
+    check(`the pixel is left ${rests}`, rests[0] === 1 && rests.at(-1) < 0.1);
     const before = $("pixel").innerText;
     const box = $("stage").getBoundingClientRect();
     const [clientX, clientY] = [box.left + box.width / 3, box.top + box.height / 2];
