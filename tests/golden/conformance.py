@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from p4dgs_ref.codec.container import write_container
-from p4dgs_ref.oracle.streams import STREAMS, TYPES, arrays_of
+from p4dgs_ref.oracle.streams import STREAMS, TYPES
 from tests.golden.conformance_bad import forgeries
 from tests.golden.conformance_good import GOOD, stream_of
+from tests.golden.decoded import arrays_of
 
 
 def files():
