@@ -272,6 +272,13 @@ def test_the_first_bad_number_is_named(scene, stage, changes, said):
         trainer.step()
 
 
+def test_a_step_that_is_too_large_is_named(scene, monkeypatch):
+    trainer = Trainer(scene, SMOKE)
+    monkeypatch.setattr(trainer, "rate_of", lambda name: np.inf)
+    with pytest.raises(NotFinite, match=r"iteration 0: after Adam's step, parameter \w.* is "):
+        trainer.step()
+
+
 def test_a_bad_backward_is_traced(scene, monkeypatch):
     real = scale.backward
 
