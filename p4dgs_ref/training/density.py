@@ -129,7 +129,7 @@ def reseed(p, first, second, dead, statistics, rng):
     """
     k = p["O_a"].shape[1]
     weight = statistics.gradient.ravel() * ~np.repeat(dead, k)
-    if not dead.any() or not weight.any():
+    if not weight.any():
         return
     parents = rng.choice(len(weight), size=dead.sum(), p=weight / weight.sum())
     copied = {name: p[name][parents // k] for name in ROWS}
