@@ -38,6 +38,15 @@ def bin_splats(inputs, settings=FAST):
     return tiles.bin_splats(*(inputs[name] for name in names), settings)
 
 
+@pytest.mark.parametrize("width, height", [(21, 12), (64, 7)])
+def test_a_camera_without_a_principal_point_has_it_in_the_middle_of_the_pixels(width, height):
+    camera = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height)
+    assert (camera.c_x, camera.c_y) == (np.arange(width).mean(), np.arange(height).mean())
+    assert (camera.f_x, camera.f_y, camera.width, camera.height) == (50, 40, width, height)
+    given = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height, c_x=3, c_y=4)
+    assert (given.c_x, given.c_y) == (3, 4)
+
+
 def relative(a, b):
     return np.linalg.norm(np.asarray(a, float) - b) / max(np.linalg.norm(b), 1e-300)
 
