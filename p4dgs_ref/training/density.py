@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
-MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
+MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (Q29)
 
 
 @dataclass

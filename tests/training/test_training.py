@@ -13,6 +13,8 @@ from p4dgs_ref import model
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import SceneError, load_scene
+from p4dgs_ref.splatting import tiles
+from p4dgs_ref.training import advice
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
@@ -201,6 +203,18 @@ def test_a_time_that_is_not_finite_is_refused(trained, t):
     camera = trained.scene.test[0].camera
     with pytest.raises(ValueError, match=r"^t: expected a time in \[0, 1\], got (nan|inf)$"):
         trained.model.render(camera, t)
+
+
+def test_a_picture_of_too_many_pairs_is_trained_and_judged_in_halves(scene, monkeypatch):
+    """A finished training is never refused for the size of its pictures."""
+    trainer, gradients = Trainer(scene, SMOKE), []
+    for most in (tiles.MAX_PAIRS, 0):
+        monkeypatch.setattr(tiles, "MAX_PAIRS", most)
+        trainer.rng = np.random.default_rng(0)
+        gradients.append(trainer.gradients_of(scene.train[0])[2].vector)
+    np.testing.assert_allclose(*gradients, rtol=1e-3, atol=1e-6 * np.abs(gradients[0]).max())
+    trainer.step()
+    assert "is there" in advice.after(trainer)
 
 
 def test_what_each_stage_moves(scene):
