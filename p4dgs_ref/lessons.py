@@ -64,6 +64,9 @@ STYLE = {
     "axes.spines.right": False,
     "axes.prop_cycle": f"cycler(color={list(COLORS)})",
 }
+# The anchor of tutorials/demo.p4dgs that leads from picture to byte. It sits on the highlight of
+# the red ball; child 0 is masked, and `child` changes its colour most around the scene.
+THREAD = SimpleNamespace(name="anchor 29", index=29, child=2, color="#8000D0")
 ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
 NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
 # Factors that are told without giving an answer away, and what may have been confused.

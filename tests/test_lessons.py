@@ -5,8 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from p4dgs_ref import EQUATIONS, lessons, oracle
+from p4dgs_ref import EQUATIONS, decode, lessons, oracle
 from p4dgs_ref.equations import offsets
+from p4dgs_ref.scenes import load, simulator
+from p4dgs_ref.splatting import render
+from p4dgs_ref.splatting.settings import FAST
+from tests import ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -237,3 +241,28 @@ def test_a_number_that_should_be_zero_and_integers_of_few_bits():
 def test_a_mistake_that_is_not_known_is_told_by_its_first_wrong_number(capsys):
     lessons.caught(lambda x_a, O_a, l_a: x_a[:, None] + 1.2345 * O_a * l_a[:, None], "offsets")
     assert re.search(r"offsets/ordinary fails: out\.x\S* \S", capsys.readouterr().out)
+
+
+def test_the_thread_anchor_is_seen_changes_its_colour_moves_and_has_a_masked_child():
+    thread = lessons.THREAD
+    model = decode((ROOT / "tutorials" / "demo.p4dgs").read_bytes())
+    scene = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
+    cameras = [
+        simulator.camera_at(scene, azimuth, np.radians(26))
+        for azimuth in np.radians(range(0, 360, 15))
+    ]
+    mask, first = model.anchors.mask[thread.index], model.design.k * thread.index
+    assert thread.name == f"anchor {thread.index}" and list(mask) == [False, True, True, True]
+    children = first + np.flatnonzero(mask)
+    colors = []
+    for camera in cameras:
+        *inputs, index = model.gaussians(0.3, camera)
+        (image, *_), saved = render.forward(*inputs, camera, model.background, FAST)
+        mine = np.flatnonzero(np.isin(index, children))
+        assert (index[mine] == children).all()
+        shares = render.backward(saved, np.ones_like(image))["color"]  # in pixels, a channel each
+        assert shares[mine].sum() / 3 > 2  # never hidden
+        colors.append(inputs[4][index == first + thread.child][0])
+    assert 255 * np.ptp(colors, axis=0).max() > 60
+    places = [model.gaussians(t, cameras[0])[0][mine] for t in np.linspace(0, 1, 11)]
+    assert (np.ptp(places, axis=0)[:, 2] > 0.3).all()

@@ -75,8 +75,11 @@ def ask(arguments, what, seconds):
     """Say how long trainings take, and go on only if the user wants it; --yes does."""
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    expected = "where there is no terminal to ask on"
-    require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
+    require(
+        arguments.yes or is_seen,
+        "--yes",
+        f"expected for {estimate}, where there is no terminal to ask on",
+    )
     print_message(estimate)
     if not arguments.yes:
         write_stderr("go on? [y/N] ")

@@ -150,11 +150,6 @@ def decode(arguments):
 def render(arguments):
     """Draw pictures of a file into a folder that has none; of a held camera also as a GIF."""
     output, settings = Path(arguments.output), p4.SETTINGS[arguments.settings]
-    require(
-        not any(output.glob("[!.]*")),
-        output,
-        "has files already; expected a new or an empty folder, so that all pictures are of one run",
-    )
     _, model, _ = read_file(arguments.file)
     if arguments.scene:
         views = [
@@ -166,6 +161,12 @@ def render(arguments):
         camera, times = figures.held_camera(model, *held), np.linspace(0, 1, arguments.frames)
         views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
     with staged_folder(output) as staging:
+        require(
+            not any(output.glob("[!.]*")),
+            output,
+            "has files already; expected a new or an empty folder, so that all pictures are of one "
+            "run",
+        )
         images = [np.clip(model.render(camera, t, settings), 0, 1) for _, camera, t in views]
         for (name, *_), image in zip(views, images):
             write_image(staging / f"{name}.png", (image * 255).round().astype(np.uint8))

@@ -6,9 +6,9 @@ Each imports the part of the laboratory that it needs.
 import os
 from contextlib import nullcontext
 
-from ..output import staged_folder
+from ..output import new_file, staged_folder
 from ..report.figures import write_csv
-from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
+from ..scenes.load import list_effects, load_scene, packaged_folder
 from . import ask, print_result, progress, require, show
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
@@ -70,12 +70,16 @@ def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
     from ..lab.suggest import seconds_of, suggest
 
-    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
-    require(
-        not arguments.apply or packaged_folder() not in folder.resolve().parents,
-        "--apply",
-        f"{folder} is a packaged scene; expected a folder of yours",
-    )
+    scene = load_scene(arguments.scene)
+    folder = scene.source
+    if arguments.apply:
+        require(
+            packaged_folder() not in folder.resolve().parents,
+            "--apply",
+            f"{folder} is a packaged scene; expected a folder of yours",
+        )
+        with new_file(folder / "scene.json"):  # before the work, whose answer would be lost
+            pass
     ask(arguments, "short trainings", seconds_of(scene, JOBS))
     rows = suggest(scene, progress, JOBS)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]

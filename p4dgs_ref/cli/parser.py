@@ -46,9 +46,12 @@ def bounded(kind, low, high=1e18):
 
 
 def given(text):
-    """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
-    if not text:
-        raise argparse.ArgumentTypeError("expected a text, got ''")
+    """A text as it is, unless it is empty: as a path, it would stand for the current folder.
+
+    No path contains NUL.
+    """
+    if not text or "\0" in text:
+        raise argparse.ArgumentTypeError(f"expected a text without NUL, got {text!r}")
     return text
 
 
@@ -173,7 +176,7 @@ GROUPS = {
             "job.render",
             "draw a file over time, from a held camera or from the test views of a scene",
             (
-                option("file", help="a .p4dgs file"),
+                FILE,
                 output("new folder to write to", required=True),
                 option(
                     "--azimuth",
@@ -398,16 +401,14 @@ def run(argv, start):
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
-        except KeyboardInterrupt:
-            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
-        except (ArithmeticError, MemoryError) as error:
+        except KeyboardInterrupt as stop:
+            code, message = 130, f"stopped{str(stop) or STOPPED.get(arguments.command, '')}"
+        except (ArithmeticError, MemoryError, ChildProcessError) as error:
             code, message = 1, str(error) or "out of memory"
         except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
             if not str(error.name).startswith("p4dgs_ref."):
                 raise
             code, message = 2, f"{arguments.command}: {error.name} is not in this installation"
-        except ChildProcessError as error:
-            code, message = 1, f"{error}{STOPPED.get(arguments.command, '')}"
         except OSError as error:
             code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
         except ValueError as error:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from imageio.plugins.pillow import PillowPlugin
 
 from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
 from .fields import MAX_COORDINATE, SceneError, require
@@ -29,6 +30,11 @@ FOLDERS = (
 )
 # The types of a PLY file that NumPy knows by another name, or that have another size there.
 PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}
+# Gives the number of vertices, and the lines of their properties.
+PLY_HEADER = re.compile(
+    rb"ply\r?\n(?:comment.*\n)*format binary_little_endian .*\n(?:(?:comment|obj_info).*\n)*"
+    rb"element vertex (\d+)\r?\n((?:property \w+ \w+\r?\n)*)(?:element (?s:.*?)\n)?end_header\r?\n"
+)
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
 
@@ -54,8 +60,9 @@ def read_image(folder, name, where):
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
     place = f"{where}: {file}"
-    with reading(file, f"a PNG of {PIXELS}", where), open(file, "rb") as stream:
-        with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
+    with reading(file, f"a PNG of {PIXELS}", where):
+        # Of a path it would read its ~ or .zip.
+        with iio.imopen(file.read_bytes(), "r", plugin=PillowPlugin) as opened:
             shape = opened.properties().shape
             require(
                 math.prod(shape) <= MAX_PICTURE,
@@ -113,10 +120,11 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
             yield
-    except SceneError:
+    except (SceneError, MemoryError):
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
-        raise SceneError(place, f"cannot be read ({error}); expected {expected}") from None
+        reason = error.__cause__ or error
+        raise SceneError(place, f"cannot be read ({reason}); expected {expected}") from None
 
 
 def read_points(path: str | Path) -> np.ndarray:
@@ -144,25 +152,20 @@ def read_ply(path):
     Vertices are the first element, as COLMAP and 3DGS write them.
     """
     data = Path(path).read_bytes()
-    end = re.search(rb"\r?\nend_header\r?\n", data[:MAX_HEADER_BYTES])
+    head = PLY_HEADER.match(data[:MAX_HEADER_BYTES])
     require(
-        data[:3] == b"ply" and end,
+        head,
         path,
-        f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
+        f"begins with {data[:120]!r}; expected a .ply in binary_little_endian whose header, up to "
+        f"'end_header' at most {MAX_HEADER_BYTES} bytes, has 'vertex' first, with properties of one "
+        "number each",
     )
-    head = data[: end.start()].decode("ascii")
-    start, *elements = head.split("\nelement ")
-    require(
-        elements and elements[0].startswith("vertex "),
-        path,
-        "expected 'vertex' as the first element",
-    )
-    (_, count), *lines = (line.split() for line in elements[0].splitlines())
-    require("\nformat binary_little_endian " in start, path, "expected a little-endian binary .ply")
+    count, lines = head.groups()
     columns = [
-        (line[-1], PLY_TYPES.get(line[1], line[1])) for line in lines if line[0] == "property"
+        (name, PLY_TYPES.get(kind, kind))
+        for _, kind, name in map(str.split, lines.decode().splitlines())
     ]
-    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), end.end())
+    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), head.end())
 
 
 def read_vertices(path):

@@ -155,13 +155,8 @@ class Scene:
             )
             for i, (image, camera, time) in enumerate(zip(images, cameras, moments))
         ]
-        return cls(
-            name,
-            train=tuple(view for i, view in enumerate(views) if i not in held_back),
-            test=tuple(view for i, view in enumerate(views) if i in held_back),
-            effects=listed,
-            background=color,
-        )
+        train = [view for i, view in enumerate(views) if i not in held_back]
+        return cls(name, train, [views[i] for i in sorted({*held_back})], listed, color)
 
 
 def check_effects(names, where):

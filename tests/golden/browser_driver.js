@@ -108,8 +108,6 @@
   // --- everything a visitor can do --------------------------------------------------------------
   async function controls() {
     await wait(600); // a picture at rest has all its pixels
-    await use("no-masks", true); // some children are then below tau_alpha
-    await wait(100);
     for (const name of Object.keys(layers.LAYERS)) {
       const before = pixelsOf($("above"));
       await use(`layer-${name}`, true);
@@ -117,8 +115,6 @@
       await use(`layer-${name}`, false);
       check(`the layer ${name} stays`, isSame(before, pixelsOf($("above"))));
     }
-    $("reset").click();
-    await drawn();
     for (const path of [false, true]) {
       await use("canvas-path", path);
       for (const what of ["canonical", "bits"]) {
@@ -144,15 +140,15 @@
 
   async function keysAndPointers() {
     const { state } = page;
-    for (const key of ["ArrowLeft", "ArrowUp", "+", "-", ".", "1", "6"]) {
-      const before = [picture(), pixelsOf($("above"))];
+    for (const key of ["ArrowLeft", "ArrowUp", "+", "-"]) {
+      const before = picture();
       await press(key);
-      const now = [picture(), pixelsOf($("above"))];
-      check(`the key ${key} does nothing`, !now.every((pixels, i) => isSame(pixels, before[i])));
+      check(`the key ${key} does nothing`, !isSame(before, picture()));
     }
-    for (const key of ["1", "6", "Home", "]"]) await press(key);
-    check("the key ] selects no anchor", state.selected === 0);
+    await press("Home");
+    await use("anchor", "0");
     await press("Escape");
+    check("Escape leaves an anchor", state.selected === null);
     const box = $("stage").getBoundingClientRect();
     const middle = [box.left + box.width / 2, box.top + box.height / 2];
     const [clientX, clientY] = middle;
@@ -164,7 +160,7 @@
     send("pointerup");
     await wait(300);
     check("a click selects no anchor", state.selected !== null);
-    check("no tables of the anchor", $("anchor-tables").querySelectorAll("table").length === 4);
+    check("no tables of the anchor", $("anchor-tables").querySelectorAll("table").length === 3);
     const turned = state.azimuth;
     send("pointerdown");
     send("pointermove", { clientX: clientX + 60 });
@@ -190,19 +186,14 @@
     await use("time", "0.3");
     await wait(600);
     const before = picture();
-    for (const [id, value] of [["coarser", "2"], ["no-masks", true]]) {
-      await use(id, value);
-      await wait(100);
-      check(`${id} changes nothing`, page.state.changed && !isSame(before, picture()));
-      check(`${id} tells no PSNR`, / dB|no difference/.test($("result").textContent));
-    }
+    await use("coarser", "2");
+    await wait(100);
+    check("coarser changes nothing", page.state.changed && !isSame(before, picture()));
+    check("coarser tells no PSNR", / dB/.test($("result").textContent));
     await use("no-context", true);
     await wait(100);
     const total = Object.values(page.state.changed.bytes).reduce((a, b) => a + b, 0);
     check(`${total} bytes of ${length}`, total > 0 && total < length);
-    $("unchanged").click();
-    await drawn();
-    check("the unchanged file is not shown", isSame(before, picture()));
     $("reset").click();
     for (const id of ["weight", "frequency"]) {
       await use(id, true);
@@ -216,13 +207,61 @@
     check("no change moves bytes", Object.entries(same.bytes).every(isOwn));
   }
 
+  /** The figures of the guide that react: splats of a pixel, signs of the grid, a bell. */
+  async function figures() {
+    const step = (name) => document.querySelector(`#steps [value=${name}]`).click();
+    const { state } = page;
+    step("splatting");
+    await use("painted", $("painted").max);
+    const all = picture();
+    for (const share of [0, 0.5]) {
+      await use("painted", String(Math.round(share * Number($("painted").max))));
+      check(`${share} of the splats give the whole picture`, !isSame(all, picture()));
+    }
+    const weights = /: ([\d. +]+); the background gets ([\d.]+)/.exec($("pixel").innerText);
+    const sum = weights[1].split(" + ").reduce((sum, weight) => sum + Number(weight), 0);
+    check(`weights of ${sum} and ${weights[2]}`, Math.abs(sum + Number(weights[2]) - 1) < 0.05);
+    const before = $("pixel").innerText;
+    const box = $("stage").getBoundingClientRect();
+    const [clientX, clientY] = [box.left + box.width / 3, box.top + box.height / 2];
+    const pointer = { pointerId: 1, clientX, clientY, bubbles: true };
+    $("stage").setPointerCapture = () => {}; // there is no such pointer
+    for (const name of ["pointerdown", "pointerup"]) {
+      $("stage").dispatchEvent(new PointerEvent(name, pointer));
+    }
+    await drawn();
+    check("a click chooses no pixel", $("pixel").innerText !== before);
+    step("context");
+    await wait(400);
+    const [steps, said] = [$("steps-say").textContent, $("bell").innerText];
+    $("signs").firstChild.click();
+    await wait(400);
+    check("a sign changes no step", $("steps-say").textContent !== steps);
+    check("a sign changes no bell", $("bell").innerText !== said);
+    check("a sign changes no bytes", / bytes/.test($("result").textContent));
+    $("signs").firstChild.click();
+    await wait(400);
+    check("a sign stays flipped", $("steps-say").textContent === steps && !state.changed);
+    step("bits");
+    await wait(400);
+    const own = requantise.bitsOfAnchor(state.model, state.selected)[0];
+    const bits = () => Number(/([\d.]+) bits/.exec($("bell").innerText)[1]);
+    check(`the bell says ${bits()} bits, not ${own}`, Math.abs(bits() - own) < 0.01);
+    for (const [name, value] of [["mu", "0.5"], ["sigma", "1"], ["q", "1"]]) {
+      await use(`bell-${name}`, value);
+      check(`the bell ignores ${name}`, Math.abs(bits() - own) > 0.1);
+      $("bell-own").click();
+      check(`the bell keeps ${name}`, Math.abs(bits() - own) < 0.01);
+    }
+    $("to-explore").click();
+    await drawn();
+  }
+
   /** The stage with each layer, as PNG in base64, its name below: pictures for an animation. */
   async function photographs() {
     await press("Escape");
     const shots = [photograph("The scene")];
     for (const { id } of document.querySelectorAll("#layers input")) {
-      await use("no-masks", id === "layer-hidden"); // in the demo only masked children are below
-      await wait(100);
       await use(id, true);
       if (id === "layer-grid") await use("anchor", "40");
       shots.push(photograph(document.querySelector(`label[for=${id}]`).textContent));
@@ -231,7 +270,6 @@
     await press("Escape");
     await use("shown", "bits");
     shots.push(photograph("Bits of each anchor"));
-    $("reset").click();
     await use("shown", "scene");
     return shots;
   }
@@ -281,6 +319,7 @@
       await use("coarser", "3");
       await wait(100);
       check(`${file} does not open`, page.state.name === file && page.state.changed);
+      check(`${file} is not in the list`, $("scene").selectedOptions[0]?.text.includes(file));
       for (const dot of document.querySelectorAll("#steps [value]")) {
         dot.click();
         await drawn();
@@ -307,6 +346,7 @@
     await controls();
     await keysAndPointers();
     await coarser();
+    await figures();
     found.layers = await photographs();
     await otherFiles();
   } catch (error) {

@@ -16,9 +16,10 @@ import numpy as np
 from p4dgs_ref.codec.container import write_container
 from p4dgs_ref.codec.file import attribute_columns, sections_of
 from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
-from p4dgs_ref.oracle.streams import STREAMS, TYPES, arrays_of
+from p4dgs_ref.oracle.streams import STREAMS, TYPES
 from tests.golden.conformance_bad import forgeries
 from tests.golden.conformance_good import GOOD
+from tests.golden.decoded import arrays_of
 
 
 def stream_of(maker):

@@ -280,6 +280,13 @@ def test_files_that_are_missing(folder, name, words):
     refuse(words, load_scene, folder)
 
 
+def test_a_folder_of_pictures_whose_number_is_absurd_is_none(folder):
+    for smaller in ("2x", "4x"):
+        shutil.rmtree(folder / "rgb" / smaller, ignore_errors=True)
+    (folder / "rgb" / "1x").rename(folder / "rgb" / f"{'1' * 200}x")
+    refuse(("rgb: no pictures", "1x"), load_scene, folder)
+
+
 def test_mistakes_in_the_folder(folder):
     refuse((f"rgb/1x/{LEFT[0]}.png", "16x12", "downscale 5"), load_scene, folder, downscale=5)
     np.save(folder / "points.npy", POINTS[:, :2])

@@ -453,6 +453,11 @@ IN_THE_FOLDER = [
         {},
         ("transforms_test.json", "frames[1].file_path", "r_001.png", "PNG"),
     ),
+    (
+        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"v/1\x01 an OpenEXR file"),
+        {},
+        ("r_001.png: cannot be read (Pillow can not read the provided bytes.)", "RGB"),
+    ),
     (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
@@ -469,6 +474,15 @@ def test_mistakes_in_the_folder(folder, change, options, words):
     change(folder)
     options = {**options, "path": folder / options.get("path", "")}
     refuse(words, load_scene, **options)
+
+
+def test_a_picture_for_which_memory_is_too_small_is_not_called_broken(folder, monkeypatch):
+    def full(*arguments, **settings):
+        raise MemoryError("12 GiB")
+
+    monkeypatch.setattr("p4dgs_ref.scenes.files.iio.imopen", full)
+    with pytest.raises(MemoryError, match="12 GiB"):
+        load_scene(folder)
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])

@@ -84,8 +84,8 @@ def test_files_and_table_agree_and_every_equation_has_a_tutorial():
 
 @EACH
 def test_package_is_imported_where_it_is_needed_and_figures_have_cells_of_their_own(tutorial):
-    before_claim = source(tutorial).split("# ## Claim")[0].splitlines()
-    imported = [line for line in before_claim if line.startswith(("from p4dgs", "import p4dgs"))]
+    before_first = source(tutorial).split("\n# ## ")[0].splitlines()
+    imported = [line for line in before_first if line.startswith(("from p4dgs", "import p4dgs"))]
     assert imported == ["from p4dgs_ref import lessons"]
     drawing = [
         cell.text for cell in notebooks.cells(source(tutorial)) if "lessons.show(" in cell.text

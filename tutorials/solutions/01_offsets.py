@@ -43,8 +43,8 @@ lessons.check_backward("01.3", my_backward, "offsets")
 
 # %% [markdown]
 # **Predict, then run.** Between 512 and 1024, numbers in float16 are 0.5 apart. A child moves if
-# the product is more than half of that, so the first offset is 3. This is why positions are stored
-# in float32.
+# the product is more than half of that, so the first offset is 3. This is why positions are computed
+# in float32. In the file they are 16-bit integers, in steps of 1/65,535 of the anchors' box.
 
 # %%
 offsets = np.arange(1, 6).astype(np.float16)
