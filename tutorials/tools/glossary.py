@@ -98,8 +98,8 @@ AXES = {
     "C": "colours of an image",
 }
 HEADS = ("letter", "name", "meaning", "shape", "unit", "equations")
-# The network's own names, which stand for other symbols, and what only saves time.
-LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases", "truth_moments"}
+# The network's own names, which stand for other symbols.
+LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases"}
 
 INTRODUCTION = """\
 # Glossary of symbols
