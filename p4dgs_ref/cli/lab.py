@@ -8,7 +8,7 @@ from contextlib import nullcontext
 
 from ..output import staged_folder
 from ..report.figures import write_csv
-from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
+from ..scenes.load import find_scene, load_scene, packaged_folder
 from . import ask, print_result, progress, require, show
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
@@ -68,7 +68,7 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..lab.suggest import seconds_of, suggest
+    from ..lab.suggest import list_effects, seconds_of, suggest
 
     scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
     require(

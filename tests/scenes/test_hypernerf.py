@@ -224,19 +224,23 @@ MISTAKES = [
     ("scene.json", {"effects": ["wind"]}, ("scene.json: effects", "wind")),
     ("dataset.json", {"train_ids": "all"}, ("dataset.json: train_ids", "a list")),
     ("dataset.json", {"val_ids": [3]}, ("dataset.json: val_ids[0]", "a text")),
-    ("dataset.json", {"val_ids": ["../bell"]}, ("metadata.json: ../bell", "None")),
+    (
+        "dataset.json",
+        {"val_ids": ["../bell"]},
+        ("metadata.json: ../bell", "missing; expected a dict"),
+    ),
     ("dataset.json", {"val_ids": ["a\nb"]}, ("dataset.json: val_ids[0]", "control characters")),
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
     ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
-    ("dataset.json", {"val_ids": ["lost"]}, ("metadata.json: lost", "None")),
-    ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "None")),
-    ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.warp_id", "integer")),
+    ("dataset.json", {"val_ids": ["lost"]}, ("metadata.json: lost", "missing; expected a dict")),
+    ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "missing; expected a dict")),
+    ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.time_id: missing", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": -1}}, (f"{LEFT[1]}.time_id", "-1", "[0, ")),
     ("metadata.json", {LEFT[1]: {"time_id": 0.5}}, (f"{LEFT[1]}.time_id", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": True}}, (f"{LEFT[1]}.time_id", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": 10**400}}, (f"{LEFT[1]}.time_id", "integer")),
-    (VIEW, {"orientation": None}, (f"{VIEW}: orientation", "shape [3, 3]")),
+    (VIEW, {"orientation": None}, (f"{VIEW}: orientation: missing", "shape [3, 3]")),
     (VIEW, {"orientation": (2 * np.eye(3)).tolist()}, (f"{VIEW}: orientation", "rotation")),
     (
         VIEW,
@@ -253,7 +257,7 @@ MISTAKES = [
     (VIEW, {"radial_distortion": [1, 2]}, (f"{VIEW}: radial_distortion", "shape [3]")),
     (VIEW, {"tangential_distortion": [1]}, (f"{VIEW}: tangential_distortion", "shape [2]")),
     (VIEW, {"image_size": [0, 0]}, (f"{VIEW}: image_size", "shape [2]")),
-    (VIEW, {"image_size": [17, 12]}, (f"rgb/1x/{LEFT[1]}.png", "16x12", "1/1 of image_size")),
+    (VIEW, {"image_size": [17, 12]}, (f"rgb/1x/{LEFT[1]}", "16x12", "1/1 of image_size")),
 ]
 
 
@@ -281,7 +285,7 @@ def test_files_that_are_missing(folder, name, words):
 
 
 def test_mistakes_in_the_folder(folder):
-    refuse((f"rgb/1x/{LEFT[0]}.png", "16x12", "downscale 5"), load_scene, folder, downscale=5)
+    refuse((f"rgb/1x/{LEFT[0]}", "16x12", "least downscale 13"), load_scene, folder, downscale=13)
     np.save(folder / "points.npy", POINTS[:, :2])
     refuse(("points.npy", "[A, 3]"), load_scene, folder)
     shutil.copy(folder / "scene.json", folder.parent / "secret.png")

@@ -50,9 +50,9 @@ VIEWS = {
 
 # The kinds of everything that has one, each with its fields.
 SHAPES = {
-    "sphere": {"radius": (POSITIVE, REQUIRED), "center": (POINT, ORIGIN)},
+    "sphere": {"radius": (POSITIVE, REQUIRED)},
     # `half` is half the length of the edges
-    "box": {"half": (partial(POSITIVE, shape=(3,)), REQUIRED), "center": (POINT, ORIGIN)},
+    "box": {"half": (partial(POSITIVE, shape=(3,)), REQUIRED)},
     "capsule": {
         "start": (POINT, REQUIRED),
         "end": (POINT, REQUIRED),
@@ -136,11 +136,6 @@ def read_description(source):
             body.parent in known,
             f"{place}.parent",
             f"{body.parent!r}; expected a body listed before",
-        )
-        require(
-            body.shape.kind != "capsule" or np.any(body.shape.start != body.shape.end),
-            f"{place}.shape.end",
-            "the same as start; expected another point",
         )
         known.add(body.name)
     return description
