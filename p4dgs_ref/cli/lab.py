@@ -8,8 +8,9 @@ from contextlib import nullcontext
 
 from ..output import staged_folder
 from ..report.figures import write_csv
-from ..scenes.load import find_scene, load_scene, packaged_folder
+from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require, show
+from .job import load
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
 
@@ -29,8 +30,7 @@ def accuracy(arguments):
         rows = study.measure(trained, progress)
         write_csv(staging / "accuracy.csv", rows)
         picture.draw(staging / "accuracy.png", rows)
-    text = f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png"
-    show(arguments, {"rows": rows, "disturbed": study.disturbed(rows)}, text)
+    print_result(f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png")
 
 
 def hard_cases(arguments):
@@ -52,7 +52,7 @@ def effects(arguments):
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    scene = load_scene(arguments.scene)
+    scene = load(arguments)
     with staged_folder(arguments.output) as staging:
         ledger = effect_ledger.of_scene(scene)
         if arguments.gain:
@@ -70,18 +70,18 @@ def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
     from ..lab.suggest import list_effects, seconds_of, suggest
 
-    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
+    scene = load(arguments)
     require(
-        not arguments.apply or packaged_folder() not in folder.resolve().parents,
+        not arguments.apply or packaged_folder() not in scene.source.resolve().parents,
         "--apply",
-        f"{folder} is a packaged scene; expected a folder of yours",
+        f"{scene.source} is a packaged scene; expected a folder of yours",
     )
     ask(arguments, "short trainings", seconds_of(scene, JOBS))
     rows = suggest(scene, progress, JOBS)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
         called = [row["effect"] for row in rows if row["called_for"]]
-        lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
+        lines.append(f"written to {list_effects(scene.source, called)}: {', '.join(called)}")
     show(arguments, {"effects": rows}, "\n".join(lines))
 
 

@@ -51,7 +51,7 @@ def empty_pictures(scene):
 
 
 def odd_points(scene, preset, seed, points):
-    """A warning of points to start from that merge, that no view sees, or that lie far off."""
+    """A warning of points to start from that merge or lie far off, or that cameras do not see."""
     points = scene.points if points is None else points
     # The training draws the same points from this seed.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
@@ -62,22 +62,24 @@ def odd_points(scene, preset, seed, points):
         u = c.f_x * x + (c.c_x + 0.5) * z  # pixels from the picture's corner, times z
         v = c.f_y * y + (c.c_y + 0.5) * z
         inside = (u >= 0) & (u <= c.width * z) & (v >= 0) & (v <= c.height * z)
-        depth = np.maximum(depth, np.where(inside, z, 0))
-    reach = np.abs(points - np.median(points, axis=0)).max(axis=1)
+        depth = np.maximum(depth, inside * z)
+    middle = np.median(points, axis=0)
+    reach, away = np.abs(points - middle).max(axis=1), np.abs(scene.center - middle).max()
     far = np.sum(reach > FAR * np.quantile(reach, 0.9))
     counts = {
         f"sharing the voxel of another, so that they merge (voxel {preset.voxel:g})": (
             len(points) - len(lattice_nodes(points, preset))
         ),
-        f"nearer than {FAST.near:g} to the cameras": np.sum((depth > 0) & (depth <= FAST.near)),
-        "outside every training view": np.sum(depth == 0),
+        f"outside every training view, or nearer than {FAST.near:g}": np.sum(depth <= FAST.near),
         f"more than {FAR} times as far from their middle as nine tenths of them": far,
     }
-    if not far and max(counts.values()) <= FEW_POINTS * len(points):
+    if max(counts.values()) <= FEW_POINTS * len(points) and not far and away <= reach.max():
         return ""
     told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return (
-        f"scene {scene.name}: of {len(points)} starting points, {told}; check their units and axes"
+        f"scene {scene.name}: of {len(points)} starting points, {told or 'all are seen'}; their "
+        f"middle is {away:.3g} from what the cameras look at, and they reach {reach.max():.3g} "
+        "from it; check units and axes"
     )
 
 
