@@ -196,6 +196,33 @@ def test_scenes_without_time_id_count_times_by_warp_id(folder):
     assert {view.time for view in load_scene(folder).train} == {0}
 
 
+def test_time_id_alone_is_enough(folder):
+    write(folder / "metadata.json", {name: {"time_id": i} for i, name in enumerate(LEFT + RIGHT)})
+    assert [view.time for view in load_scene(folder).train] == [0, 1 / 7, 2 / 7, 3 / 7]
+
+
+def test_photographs_are_found_by_any_ending(folder):
+    for name, ending in zip(LEFT, (".jpg", ".JPG", ".jpeg", ".PNG")):
+        file = folder / f"rgb/1x/{name}.png"
+        pixels = iio.imread(file)
+        file.unlink()
+        iio.imwrite(file.with_suffix(ending), pixels // 8 * 0 + 77)
+    for view in load_scene(folder).train:
+        np.testing.assert_allclose(view.image, 77 / 255, atol=2 / 255)
+
+
+def test_sides_that_downscale_does_not_divide(folder):
+    view = load_scene(folder, downscale=5).train[1]
+    assert view.image.shape == (HEIGHT // 5, WIDTH // 5, 3)
+    assert (view.camera.c_x, view.camera.c_y) == (7 / 5 - 0.5, 6.5 / 5 - 0.5)
+
+
+def test_points_of_colmap_are_named_where_points_are_missing(folder):
+    (folder / "points.npy").unlink()
+    (folder / "points3D.txt").write_text("1 0 0 0 9 9 9 0.1\n", encoding="utf-8")
+    refuse(("points.npy: missing", f"x, y and z of {folder}/points3D.txt"), load_scene, folder)
+
+
 def test_a_folder_of_both_layouts_is_of_d_nerf(folder):
     write(folder / "transforms_train.json", {})
     refuse(["transforms_train.json: frames"], load_scene, folder)

@@ -58,8 +58,16 @@ POINTS = [
     (CLOUD, 1, []),
     (CLOUD / 1e6, 1, ["of 500 starting points", "499 sharing the voxel", "(voxel 0.001)"]),
     (np.vstack([CLOUD, [[0, 1e5, 0]]]), 1, ["of 501", "1 more than 10 times as far"]),
-    (np.vstack([CLOUD, OUTSIDE]), 1, ["of 600", "100 outside every training view"]),
-    (np.vstack([CLOUD, BEFORE_A_LENS]), 1, ["of 600", "100 nearer than 0.2 to the cameras"]),
+    (
+        np.vstack([CLOUD, OUTSIDE]),
+        1,
+        ["of 600", "100 outside every training view, or nearer than 0.2"],
+    ),
+    (
+        np.vstack([CLOUD, BEFORE_A_LENS]),
+        1,
+        ["of 600", "100 outside every training view, or nearer than 0.2"],
+    ),
     (np.vstack([CLOUD, CLOUD[:9]]), 1, []),
     (None, 1, []),
     (None, 1000, ["of 200 starting points", "outside every training view"]),
@@ -73,6 +81,15 @@ def test_starting_points_that_training_cannot_use_are_counted(points, extent, wo
     assert bool(told) == bool(words) and "\n" not in told
     assert [word for word in words if word not in told] == [], told
     assert advice.odd_points(scene(30), preset, 0, points) == told
+
+
+@pytest.mark.parametrize("shift, is_told", [(0.9, False), (1.1, True)])
+def test_cameras_that_look_past_the_starting_points_are_told_of_with_both_numbers(shift, is_told):
+    """The cameras look at a place `shift` from the middle of points that reach as far as 1."""
+    points = [[x, y, z + shift] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+    told = advice.odd_points(scene(30), replace(TINY, voxel=1e-3), 0, np.array(points))
+    numbers = "their middle is 1.1 from what the cameras look at, and they reach 1 from it"
+    assert (numbers in told) == is_told
 
 
 @pytest.mark.parametrize("share, is_told", [(0, True), (0.28, True), (0.3, False), (1, False)])
@@ -129,11 +146,15 @@ def odd():
 @pytest.mark.parametrize("work", [p4.train, p4.main_job])
 def test_training_warns_before_and_after(work, tmp_path):
     told = messages(work, odd(), "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
-    assert kinds(told) == WARNINGS
+    overfitted = [line for line in told if "knows the pictures better" in line]
+    assert len(overfitted) == (work is p4.main_job)
+    assert kinds(line for line in told if line not in overfitted) == WARNINGS
 
 
 def test_the_command_prints_every_warning_beside_its_result(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(p4, "load_scene", lambda *_, **__: odd(), raising=False)
+    found = replace(odd(), source=tmp_path)
+    (tmp_path / "scene.json").write_text('{"effects": []}', encoding="utf-8")
+    monkeypatch.setattr(p4, "load_scene", lambda *_, **__: found, raising=False)
     short = ["--preset", "smoke", "--set", "stage_ends=1,2,3,4", "--quiet"]
     assert cli.run(["train", "static", *short, "-o", str(tmp_path / "run")], 0.0) == 0
     told = [line for line in capsys.readouterr().err.splitlines() if "warning: " in line]
