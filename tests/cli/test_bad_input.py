@@ -434,7 +434,7 @@ def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place
 
 
 def test_out_of_memory(place, run, monkeypatch):
-    def full(*arguments):
+    def full(*arguments, **named):
         raise MemoryError("8 TiB for an array")
 
     monkeypatch.setattr("p4dgs_ref.report.jobs.fit", full)
