@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can compute the positions of an anchor's Gaussians by hand,
 # and send a gradient back from the Gaussians to the anchor. **Before it:** nothing but NumPy.
-# **Takes** a second of machine time on two cores, 15 minutes of reading and 25 of exercises.
+# **Takes** four seconds of machine time on two cores, 20 minutes of reading and 25 of exercises.
 #
 # **File:** Eq. (1) [offsets.py](../p4dgs_ref/equations/offsets.py).
 
@@ -13,17 +13,75 @@ import numpy as np
 from p4dgs_ref import lessons
 
 plt = lessons.begin()
-from tutorials.tools import architecture
+from tutorials.tools import architecture, show, tour
 
 architecture.show("01_offsets")
 rng = np.random.default_rng(1)
+
+# %% [markdown]
+# ## What fails without it
+# A free Gaussian stores all of its 59 numbers itself, where it is, how large, how turned, how
+# opaque and how coloured, even if its neighbours lie on the same ball and look nearly the same.
+# Hundreds of thousands of them fill a real scene: the paper's scene T-Rex takes 56.7 MB in this way
+# (Table 3).
+#
+# The left side shows the trained scene of `demo.p4dgs` with three of its Gaussians in purple. They
+# belong to *anchor 29*, which we follow from the picture to its bytes through all tutorials, always
+# in this colour. The right side counts what would have to be stored for them.
+
+# %%
+from p4dgs_ref.scenes import simulator
+
+model, thread = tour.MODEL, lessons.THREAD
+camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
+gaussians = model.gaussians(0.3, camera)
+mine = gaussians.index // model.design.k == thread.index
+assert mine.sum() == 3
+free = {"position": 3, "size": 3, "rotation": 4, "opacity": 1, "colour by direction": 48}
+anchor = {
+    "position": 3,
+    "$l_a$": 3,
+    "offsets": 3 * model.design.k,
+    "size": 3,
+    "feature": model.design.d,
+}
+assert sum(free.values()) == 59
+assert sum(anchor.values()) == 37
+
+# %%
+figure, (left, right) = plt.subplots(
+    1, 2, figsize=(13, 4.8), layout="constrained", width_ratios=(1, 1.5)
+)
+show.picture(left, show.frame(model, camera, 0.3), camera, **tour.VIEW)
+mean2d, cov2d, *_ = show.splats(gaussians, camera, mine)
+show.ellipses(left, mean2d, cov2d, fc="none", ec=thread.color, lw=3)
+left.set_title("the trained scene, and three Gaussians of it")
+shades = dict(zip((*free, "$l_a$", "offsets", "feature"), (*lessons.COLORS, "0.7")))
+for y in (3, 2, 1):
+    show.strip(right, free, y, shades)
+show.strip(right, anchor, 0, shades)
+right.legend(
+    right.patches[:5] + right.patches[-4:-2] + right.patches[-1:], shades, ncols=4, loc="upper left"
+)
+right.text(38, 0, "anchor 29: 37, and a share of the networks", color=thread.color, va="center")
+lessons.finish(
+    right,
+    xlabel="numbers",
+    yticks=(),
+    ylim=(-0.5, 4.7),
+    title="what they store as free Gaussians: 3 × 59",
+    grid=False,
+)
+lessons.show(figure, "01_offsets_free")
 
 # %% [markdown]
 # ## Claim
 # P-4DGS never stores Gaussians. It stores *anchors* and predicts a handful of Gaussians from each:
 # $$\{x_0,\dots,x_{k-1}\} = x_a + \{O_0,\dots,O_{k-1}\}\cdot l_a \tag{1}$$
 # Here $x_a$ is the position of the anchor, $l_a$ is a scaling for each axis, and $O_j$ is the
-# learned offset of child $j$, one of $k$ children. The dot multiplies axis by axis.
+# learned offset of child $j$, one of $k$ children. The dot multiplies axis by axis. Size, rotation,
+# opacity and colour of the children follow from the *feature* $f_a$ of the anchor, a row of $d$
+# numbers, and from its *scale* $s_a$ (`02_view` to `04_color_rotation_scale`).
 
 # %% [markdown]
 # ## By hand
@@ -50,68 +108,43 @@ print(by_hand)
 
 # %%
 from p4dgs_ref.equations import offsets
+from p4dgs_ref.lessons import close
 
+# paper, Sec. 3.2: an anchor stores k offsets, and l_a says how far they reach
+# silent: Q5, whether l_a or its logarithm is meant; here l_a itself
 x, saved = offsets.forward(x_a[None], O_a[None, None], l_a[None])
 assert x.shape == (1, 1, 3)
 assert np.array_equal(x[0, 0], by_hand)
 
 # %% [markdown]
-# The next cell draws four random anchors with six children each. All anchors have the same scaling,
-# which is largest along x, so their children spread further along x than along y.
+# The next cell applies this line to the trained anchors. Anchor 29 sits on the highlight of the red
+# ball, and its children lie around it. A fourth one is not drawn, which is the subject of
+# `03_opacity_and_masking`. The picture shows the *canonical* scene, which has no time yet.
 # [See it move](viewer/demo.html#step=2): the viewer draws the children of each anchor of the demo.
 
 # %%
-anchors = rng.uniform(-1, 1, (4, 3))
-spread = np.tile([0.25, 0.1, 0.2], (4, 1))
-children, _ = offsets.forward(anchors, rng.normal(size=(4, 6, 3)), spread)
+anchors = model.anchors
+places, _ = offsets.forward(anchors.x_a, anchors.O_a, anchors.l_a)
+canonical = model.gaussians(None, camera)
+assert close(places.reshape(-1, 3)[canonical.index], canonical.x)
+print(f"{len(anchors.x_a)} anchors, {len(canonical.x)} children that are drawn")
 
-figure, axes = plt.subplots()
-for a in range(4):
-    for child in children[a]:
-        line_x, line_y, _ = np.stack([anchors[a], child], axis=1)
-        axes.plot(
-            line_x,
-            line_y,
-            "-",
-            lw=1,
-            color="0.7",
-            zorder=0,
-        )
-    axes.plot(
-        children[a, :, 0],
-        children[a, :, 1],
-        "o",
-        ms=7,
-        label=f"anchor {a}",
-    )
-    axes.plot(
-        anchors[a, 0],
-        anchors[a, 1],
-        "k+",
-        ms=16,
-        mew=3,
-    )
-lessons.finish(
-    axes,
-    xlabel="x (scene units)",
-    ylabel="y (scene units)",
-    aspect="equal",
-    title="Four anchors (+) with six Gaussians each: $l_a$ is larger along x",
-)
-lessons.label(
-    axes,
-    (0.1, 0.97),
-    (1.0, -0.58),
-    (0.2, -0.02),
-    (-0.8, 0.6),
-)
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
+image = 0.6 + 0.4 * show.frame(model, camera, None, 20)
+for ax in (left, right):
+    show.picture(ax, image, camera, **tour.VIEW)
+    show.families(ax, model, camera, thread.index)
+left.set_title("all anchors (black) and their children")
+x, y = show.to_pixels(anchors.x_a[thread.index], camera)
+right.set(xlim=(x - 6, x + 6), ylim=(y + 5, y - 5), title="anchor 29: $x_a$, and $x_a + O_j l_a$")
 lessons.show(figure, "01_offsets")
 
 # %% [markdown]
 # ## Backward by hand
-# Training minimises one number $L$, the loss. For any quantity $y$ we write $\bar y$ for
-# $\partial L/\partial y$ and call it the *cotangent* of $y$. A backward function receives the
-# cotangents of the outputs and returns those of the inputs.
+# Training minimises one number $\mathcal{L}$, the loss. For any quantity $y$ we write $\bar y$ for
+# $\partial\mathcal{L}/\partial y$ and call it the *cotangent* of $y$. A backward function receives
+# the cotangents of the outputs and returns those of the inputs.
 #
 # First consider one child and one axis, where $x = x_a + O\,l$ is an equation between numbers.
 # Small changes of the inputs change $x$ by
@@ -134,7 +167,7 @@ assert gradients["l_a"][0, 0] == 6
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
 # %%
-from p4dgs_ref.lessons import close, inner, moved, random_like
+from p4dgs_ref.lessons import inner, moved, random_like
 
 A, k = 5, 4
 inputs = {
@@ -158,23 +191,25 @@ assert close(ours["l_a"], l_a_bar)
 
 # %% [markdown]
 # How can we check a gradient without deriving it twice? Write $\langle a, b\rangle$ for the sum of
-# all products of entries, and take the loss $L = \langle\bar x, x\rangle$, whose gradient with
-# respect to $x$ is $\bar x$. If all inputs move by $h$ times random directions $d$, then the loss
-# must change, per unit of $h$, by
-# $$\langle\bar x_a, d_{x_a}\rangle + \langle\bar O, d_O\rangle + \langle\bar l, d_l\rangle.$$
+# all products of entries, and take the loss $\mathcal{L} = \langle\bar x, x\rangle$, whose gradient
+# with respect to $x$ is $\bar x$. If all inputs move by $\epsilon$ times random numbers
+# $\dot x_a, \dot O, \dot l$, which are called *tangents*, then the loss must change, per unit of
+# $\epsilon$, by
+# $$\langle\bar x_a, \dot x_a\rangle + \langle\bar O, \dot O\rangle
+# + \langle\bar l, \dot l\rangle.$$
 # This is the *adjoint identity*. It tests all gradients of an equation with two evaluations of its
 # forward, and most tutorials use it. The module `lessons` therefore has short functions for its
-# parts: `random_like` draws the directions, `moved` adds $h$ times the directions to the inputs,
+# parts: `random_like` draws the tangents, `moved` adds $\epsilon$ times the tangents to the inputs,
 # `inner` is $\langle a, b\rangle$, and `close` compares two results up to a relative tolerance.
 # Later tutorials call `lessons.adjoint`, which does what the next cell does.
 
 # %%
-d = random_like(rng, inputs)
-h = 1e-6
-up, _ = offsets.forward(**moved(inputs, d, h))
-down, _ = offsets.forward(**moved(inputs, d, -h))
-difference = inner(x_bar, up - down) / (2 * h)
-gradient = inner(ours, d)
+tangents = random_like(rng, inputs)
+epsilon = 1e-6
+up, _ = offsets.forward(**moved(inputs, tangents, epsilon))
+down, _ = offsets.forward(**moved(inputs, tangents, -epsilon))
+difference = inner(x_bar, up - down) / (2 * epsilon)
+gradient = inner(ours, tangents)
 assert close(difference, gradient, 1e-8)
 print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 
@@ -187,17 +222,19 @@ print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
 # %%
 broken = {**ours, "x_a": x_bar[:, -1]}
 assert broken["x_a"].shape == ours["x_a"].shape
-off = abs(inner(broken, d) - difference) / abs(difference)
+off = abs(inner(broken, tangents) - difference) / abs(difference)
 assert off > 0.01
 print(f"without the sum, the identity is off by {100 * off:.0f} %")
 
 # %% [markdown]
 # ## What a codec does with it
 # The children of an anchor share a position and a scaling, as the pixels of a block of video share
-# one motion vector. The offsets are not shared: they are $3k$ of the $3k + 6$ numbers in Eq. (1),
-# so they take most of the bits, and their range matters. Eq. (1) measures offsets in multiples of
+# one motion vector. The offsets are not shared: they are $3k$ of the $3k + 6$ numbers in Eq. (1).
+# What that costs depends on the rate. In the demo's file they are the largest part of an anchor; in
+# the paper's T-Rex at low rate they take 0.024 MB beside 0.121 MB of positions, and at high rate
+# 0.188 beside 0.118 MB (Table 4). Their range matters: Eq. (1) measures offsets in multiples of
 # $l_a$. A small anchor and a large one of the same shape therefore have the *same* offsets, and one
-# quantisation step is right for both.
+# step of rounding is right for both.
 
 # %%
 for k in (4, 10):
@@ -210,41 +247,69 @@ large, _ = offsets.forward(at_origin, inputs["O_a"], 100 * inputs["l_a"])
 assert close(large, 100 * small)
 
 # %% [markdown]
+# ## What this idea buys
+# In the paper, anchors in place of free Gaussians take T-Rex from 56.7 to 7.27 MB, 87 percent less
+# (Table 3). Here they take the Gaussians from 198,400 to 29,403 bytes, 85 percent less, but the
+# file only from 2,212,079 to 1,946,560 bytes: the network that moves 800 Gaussians (Eq. (5)) has 2
+# MB on both sides, and T-Rex has some 220,000 Gaussians beside it (inferred from its bytes). Two of
+# our three seeds also lose their quality, because that large network did not learn to move.
+
+# %%
+from tutorials import gains
+
+assert abs(gains.mean("D3DGS", "gaussians_bytes") - 198_400) < 0.5
+assert abs(gains.mean("+ spatial prediction", "gaussians_bytes") - 29_403) < 0.5
+gains.show(
+    "01_offsets",
+    {"free Gaussians": "D3DGS", "anchors": "+ spatial prediction"},
+    {"free Gaussians": (56.7, "38.04 dB"), "anchors": (7.27, "38.36 dB")},
+)
+
+# %% [markdown]
+# **In short**
+# - A child's position is that of its anchor plus its offset, in multiples of the anchor's $l_a$.
+# - What all children share gets the sum of their gradients.
+# - The saving is what neighbours have in common; it is a share of the Gaussians, not of the
+#   networks.
+#
+# **Often misunderstood**
+# - *The file contains Gaussians.* It contains anchors and networks. The Gaussians are computed anew
+#   for every picture.
+# - *An anchor is a Gaussian.* It is never drawn, and no child needs to be at its position.
+# - *$l_a$ is the size of the children.* It says how far they may be from the anchor; their size is
+#   that of Eq. (4).
+
+# %% [markdown]
 # ## Exercises
-# Replace each `...` and the `raise` lines below, then run the cell. It compares your functions with
-# *golden vectors*, which are inputs and outputs that come with the project. `lessons.hint("01.2")`
-# prints a hint, and a second call prints another one. The last question of a tutorial has no blank:
-# write down what you expect and why, then test it with a few lines of code. The solutions also
-# answer this question.
+# Replace each `...` below, then run the cell. Later tutorials also have `raise` lines in place of
+# functions, which they compare with *golden vectors*: inputs and outputs that come with the
+# project. `lessons.hint("01.2")` prints a hint, and a second call prints another one. The last
+# question of a tutorial has no blank: write down what you expect and why, then test it with a few
+# lines of code. The solutions also answer this question.
 #
 # **01.1** ● A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where is it?
 # Give a list of three numbers.
 #
-# **01.2** ● Write Eq. (1) for arrays.
+# **01.2** ● The file rounds every offset, by at most $0.1$. How far can that move the child of "By
+# hand" along each axis? And how far if $l_a$ is doubled and all offsets are halved, which leaves
+# every child in its place? Give a list of two lists of three numbers.
 #
-# **01.3** ●● Write its backward. The dictionary `cotangents` holds the cotangents of the outputs,
-# here `x_bar` for the output `x`.
+# **01.3** ●● Four children of an anchor have the offsets $2, -1, -1, 0$ along x, where $l = 0.5$,
+# and the cotangents $1, 1, -2, 0$. Does descent move the anchor, and does it pull the children
+# together or apart? Give $\bar x_a$, $\bar l$ and the gradient of $\log l$, which Scaffold-GS
+# trains.
 #
 # **Predict, then run.** A port keeps all numbers in float16. An anchor is at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?
 
 # %%
 answer_1 = ...
-
-
-def my_forward(x_a, O_a, l_a):
-    """Return x [A, k, 3] for x_a [A, 3], O_a [A, k, 3] and l_a [A, 3]."""
-    raise NotImplementedError
-
-
-def my_backward(inputs, cotangents):
-    """Return the gradients {"x_a", "O_a", "l_a"}, given cotangents["x_bar"] [A, k, 3]."""
-    raise NotImplementedError
-
+answer_2 = ...
+answer_3 = ...
 
 lessons.check_number("01.1", answer_1)
-lessons.check_forward("01.2", my_forward, "offsets")
-lessons.check_backward("01.3", my_backward, "offsets")
+lessons.check_number("01.2", answer_2)
+lessons.check_number("01.3", answer_3)
 
 # %% [markdown]
 # ## Check your port

@@ -78,8 +78,12 @@ def ask(arguments, what, seconds, free=0):
     """
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    wanted, told = arguments.yes or seconds < free, "where there is no terminal to ask on"
-    require(wanted or is_seen, "--yes", f"expected for {estimate}, {told}")
+    wanted = arguments.yes or seconds < free
+    require(
+        wanted or is_seen,
+        "--yes",
+        f"expected for {estimate}, where there is no terminal to ask on",
+    )
     if seconds > 60 or not wanted:
         print_message(estimate)
     if not wanted:

@@ -11,7 +11,8 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..output import new_file, staged_folder, writable_folder, write_atomically
+from ..limits import counted
+from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
@@ -20,7 +21,7 @@ from ..scenes.files import write_image
 from ..scenes.load import read_points_for, read_scene_json
 from ..scenes.scene import size_of
 from ..training import advice
-from ..training.fit import CHECKPOINT, fit, load_model
+from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
 from ..training.presets import choose
 from . import (
     UsageError,
@@ -111,12 +112,12 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, scene, preset)
         if "effects" not in read_scene_json(scene.source):
             print_warning(
-                "no scene.json lists effects, so all are trained; `p4dgs-ref effects "
-                f"{arguments.scene} --suggest --apply --downscale {arguments.downscale}` finds and "
-                "lists them"
+                f"no scene.json lists effects: all are trained; `p4dgs-ref effects {scene.source}"
+                f" --suggest --apply --downscale {arguments.downscale}` finds and lists them"
             )
     for sentence in advice.before(scene, preset, arguments.seed):
         print_warning(sentence)
@@ -132,7 +133,9 @@ def train(arguments):
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
     print_warning(advice.after(trainer))
-    print_result(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
+    print_result(
+        f"{folder}: {trainer.iteration} iterations, {counted(len(trainer.mask), 'anchor')}"
+    )
 
 
 def encode(arguments):
@@ -174,11 +177,6 @@ def render(arguments):
     held = {name: value for name in HELD if (value := getattr(arguments, name)) is not None}
     require(not (scene and held), f"--{', --'.join(held)}", "expected without --scene")
     require(scene or arguments.downscale == 1, "--downscale", "expected together with --scene")
-    require(
-        not any(output.glob("[!.]*")),
-        output,
-        "has files already; expected a new or an empty folder, so that all pictures are of one run",
-    )
     _, model, _ = read_file(arguments.file)
     if scene:
         kind, views = "view", [(view.camera, view.time) for view in load(arguments).test]
@@ -187,6 +185,12 @@ def render(arguments):
         camera = figures.held_camera(model, **held)
         kind, views = "t", [(camera, t) for t in times]
     with staged_folder(output) as staging:
+        require(
+            not any(output.glob("[!.]*")),
+            output,
+            "has files already; expected a new or an empty folder, so that all pictures are of one "
+            "run",
+        )
         images = [np.clip(model.render(*view), 0, 1) for view in views]
         for i, image in enumerate(images):
             pixels = (image * 255).round().astype(np.uint8)
@@ -230,9 +234,8 @@ def evaluate(arguments):
 def inspect(arguments):
     """List the sections of a file."""
     data, _, _ = read_file(arguments.file)
-    rows = sizes.ledger(data)
-    found = {"bytes": len(data), "sections": rows, "gaps": sizes.GAPS}
-    show(arguments, found, text.ledger(rows, sizes.GAPS))
+    rows, gaps = sizes.ledger(data), sizes.GAPS
+    show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 
 def presets(arguments):

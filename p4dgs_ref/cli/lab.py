@@ -6,7 +6,7 @@ Each imports the part of the laboratory that it needs.
 import os
 from contextlib import nullcontext
 
-from ..output import staged_folder
+from ..output import new_file, staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require, show
@@ -71,17 +71,21 @@ def suggest_effects(arguments):
     from ..lab.suggest import list_effects, seconds_of, suggest
 
     scene = load(arguments)
-    require(
-        not arguments.apply or packaged_folder() not in scene.source.resolve().parents,
-        "--apply",
-        f"{scene.source} is a packaged scene; expected a folder of yours",
-    )
+    folder = scene.source
+    if arguments.apply:
+        require(
+            packaged_folder() not in folder.resolve().parents,
+            "--apply",
+            f"{folder} is a packaged scene; expected a folder of yours",
+        )
+        with new_file(folder / "scene.json"):  # before the work, whose answer would be lost
+            pass
     ask(arguments, "short trainings", seconds_of(scene, JOBS))
     rows = suggest(scene, progress, JOBS)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]
     if arguments.apply:
         called = [row["effect"] for row in rows if row["called_for"]]
-        lines.append(f"written to {list_effects(scene.source, called)}: {', '.join(called)}")
+        lines.append(f"written to {list_effects(folder, called)}: {', '.join(called)}")
     show(arguments, {"effects": rows}, "\n".join(lines))
 
 

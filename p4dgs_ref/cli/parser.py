@@ -46,9 +46,12 @@ def bounded(kind, low, high=1e18):
 
 
 def given(text):
-    """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
-    if not text:
-        raise argparse.ArgumentTypeError("expected a text, got ''")
+    """A text as it is, unless it is empty: as a path, it would stand for the current folder.
+
+    No path contains NUL.
+    """
+    if not text or "\0" in text:
+        raise argparse.ArgumentTypeError(f"expected a text without NUL, got {text!r}")
     return text
 
 
@@ -179,31 +182,26 @@ GROUPS = {
                 option(
                     "--azimuth",
                     type=bounded(float, -360, 360),
-                    metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
                     type=bounded(float, -89, 89),
-                    metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
-                    metavar="D",
                     help="from the middle of the anchors (3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
                     type=bounded(int, 1, 4096),
-                    metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
                     type=bounded(int, 1, 10_000),
-                    metavar="N",
                     help="times in 0 ... 1 (24)",
                 ),
                 option("--scene", help="use the test cameras and times of this scene instead"),
@@ -385,16 +383,14 @@ def run(argv, start):
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
-        except KeyboardInterrupt:
-            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
-        except (ArithmeticError, MemoryError) as error:
+        except KeyboardInterrupt as stop:
+            code, message = 130, f"stopped{str(stop) or STOPPED.get(arguments.command, '')}"
+        except (ArithmeticError, MemoryError, ChildProcessError) as error:
             code, message = 1, str(error) or "out of memory"
         except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
             if not str(error.name).startswith("p4dgs_ref."):
                 raise
             code, message = 2, f"{arguments.command}: {error.name} is not in this installation"
-        except ChildProcessError as error:
-            code, message = 1, f"{error}{STOPPED.get(arguments.command, '')}"
         except OSError as error:
             code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
         except ValueError as error:

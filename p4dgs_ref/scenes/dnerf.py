@@ -40,7 +40,6 @@ from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, rotation
 
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
-TEST_EVERY = 8  # of the pictures of a capture, one of so many is for testing
 
 
 def world_to_camera(value, where):
@@ -113,7 +112,7 @@ def read(folder, color, downscale, progress):
     train, test = [], []
     for i, frame in enumerate(frames):
         progress(i, len(frames))
-        is_test = not i % TEST_EVERY if is_capture else i >= len(heads[0].frames)
+        is_test = not i % 8 if is_capture else i >= len(heads[0].frames)
         (test if is_test else train).append(read_view(folder, frame, color, downscale))
     return {"train": train, "test": test, "still": still}
 

@@ -56,8 +56,8 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
         if entries.shape == shape and all(known):
             values = entries.astype(kind)
     if not np.all((values >= low) & (values <= high)):  # nor for NaN
-        one, many = ("an integer", "integers") if kind is int else ("a number", "numbers")
-        expected = f"{many} of shape {list(shape)}" if shape else one
+        name = "integer" if kind is int else "number"
+        expected = f"{name}s of shape {list(shape)}" if shape else f"one {name}"
         raise SceneError(where, f"{shown(value)}; expected {expected} in [{low:g}, {high:g}]")
     return values if shape else values.item()
 

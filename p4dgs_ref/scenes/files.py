@@ -16,6 +16,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from imageio.plugins.pillow import PillowPlugin
 
 from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
 from ..splatting.camera import Camera
@@ -32,12 +33,10 @@ FOLDERS = (
 ENDINGS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".JPEG")
 # The types of a PLY file that NumPy knows by another name, or that have another size there.
 PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}
-# Vertices come first, as COLMAP and 3DGS write them.
+# Gives the number of vertices, and the lines of their properties.
 PLY_HEADER = re.compile(
-    rb"""ply \s+ format\ binary_little_endian\ 1.0 \s+ (?: (?: comment | obj_info ) .* \s+ )*
-    element\ vertex\ (?P<count> \d+ ) \s+ (?P<properties> (?: property\ \w+\ \w+ \s+ )* )
-    (?: (?: element | comment | obj_info ) (?s: .*? ) \s )? end_header \r?\n""",
-    re.VERBOSE,
+    rb"ply\r?\n(?:comment.*\n)*format binary_little_endian .*\n(?:(?:comment|obj_info).*\n)*"
+    rb"element vertex (\d+)\r?\n((?:property \w+ \w+\r?\n)*)(?:element (?s:.*?)\n)?end_header\r?\n"
 )
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
@@ -67,8 +66,9 @@ def read_image(folder, name, where):
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
     place = f"{where}: {file}"
-    with reading(file, f"a picture of {PIXELS}", where), open(file, "rb") as stream:
-        with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
+    with reading(file, f"a picture of {PIXELS}", where):
+        # Of a path it would read its ~ or .zip.
+        with iio.imopen(file.read_bytes(), "r", plugin=PillowPlugin) as opened:
             shape = opened.properties().shape
             require(
                 math.prod(shape) <= MAX_PICTURE,
@@ -129,8 +129,7 @@ def premultiplied(image):
     """Whether no colour exceeds alpha in partly transparent pixels, of which there are many."""
     alpha = image[..., -1]
     partly = (alpha > 0.1) & (alpha < 0.9) & (image.shape[2] == 4)
-    lighter = image[partly].max(1) > alpha[partly] + 1 / 255
-    return partly.sum() >= 100 and not lighter.any()
+    return partly.sum() >= 100 and (image[partly].max(1) <= alpha[partly] + 1 / 255).all()
 
 
 def straighten(image, focal, middle, k, p):
@@ -170,10 +169,11 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
             yield
-    except SceneError:
+    except (SceneError, MemoryError):
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
-        raise SceneError(place, f"cannot be read ({error}); expected {expected}") from None
+        reason = error.__cause__ or error
+        raise SceneError(place, f"cannot be read ({reason}); expected {expected}") from None
 
 
 def read_points(path: str | Path) -> np.ndarray:
@@ -204,13 +204,14 @@ def read_ply(path):
     require(
         head,
         path,
-        f"begins with {data[:200].decode(errors='replace')!r}; expected a little-endian binary "
-        "'ply', whose first element is 'vertex', without lists, and whose header ends with "
-        f"'end_header' within {MAX_HEADER_BYTES} bytes",
+        f"begins with {data[:120]!r}; expected a .ply in binary_little_endian whose header, up to "
+        f"'end_header' at most {MAX_HEADER_BYTES} bytes, has 'vertex' first and properties of one "
+        "number each",
     )
-    properties = re.findall(r"property (\w+) (\w+)", head["properties"].decode("ascii"))
+    count, lines = head.groups()
+    properties = re.findall(r"property (\w+) (\w+)", lines.decode())
     columns = [(name, PLY_TYPES.get(kind, kind)) for kind, name in properties]
-    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(head["count"]), head.end())
+    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), head.end())
 
 
 def read_vertices(path):

@@ -114,9 +114,8 @@ def choose_pictures(folder, downscale):
 
     Smaller pictures are taken where the folder has them; pixels are averaged for the rest.
     """
-    ratios = [
-        int(path.name[:-1]) for path in folder.glob("rgb/[1-9]*x") if path.name[:-1].isdecimal()
-    ]
+    names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
+    ratios = [int(name) for name in names if name.isdecimal() and len(name) < 9]
     require(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)

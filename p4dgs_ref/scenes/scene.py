@@ -165,13 +165,8 @@ class Scene:
             )
             for i, (image, camera, time) in enumerate(zip(images, cameras, times))
         ]
-        return cls(
-            name,
-            train=[view for i, view in enumerate(views) if i not in held_back],
-            test=[view for i, view in enumerate(views) if i in held_back],
-            effects=listed,
-            background=color,
-        )
+        train = [view for i, view in enumerate(views) if i not in held_back]
+        return cls(name, train, [views[i] for i in sorted({*held_back})], listed, color)
 
 
 def check_effects(names, where, known=SIMULATOR_EFFECTS):

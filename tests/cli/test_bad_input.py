@@ -7,7 +7,9 @@ import os
 import re
 import resource
 import shutil
+import signal
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +19,13 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref import limits
+from p4dgs_ref.__main__ import main
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli.parser import parser
-from p4dgs_ref.output import PART
+from p4dgs_ref.output import PART, locked
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import MAX_JSON_BYTES
+from p4dgs_ref.training import presets
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
@@ -250,7 +254,7 @@ LINES = [
     ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
     ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
-    ("demo --set voxel=nan", ("'voxel'", "positive")),
+    ("demo --set voxel=nan", ("'voxel'", "1e-09")),
     ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
     ("demo --set upright=perhaps", ("'upright'", "perhaps")),
     ("demo --set grow=wild", ("'grow'", "wild")),
@@ -385,15 +389,75 @@ def test_files_beyond_their_limits_are_not_read(tmp_path, run, monkeypatch, line
     assert err.count("\n") == 1 and os.listdir() == [name]
 
 
-def test_no_argument_may_be_empty(capsys):
+# Every command that writes files into a folder.
+INTO_A_FOLDER = (
+    "demo scene --preset smoke --quiet -o taken",
+    "train scene --preset smoke --quiet -o taken",
+    "decode good.p4dgs -o taken",
+    "render good.p4dgs --frames 1 --size 4 -o taken",
+    "evaluate good.p4dgs scene -o taken",
+    "inspect good.p4dgs -o taken",
+    "simulate scene.json -o taken",
+    "oracle export taken",
+    "accuracy -o taken",
+    "stability -o taken",
+    "effects scene -o taken",
+    "classroom taken",
+    "grade course/student -o taken",
+)
+
+
+def test_no_two_commands_write_into_one_folder(place, refused):
+    shutil.copy(ROOT / "tiny_scenes/static/scene.json", place)
+    Path("taken").mkdir()
+    with locked("taken"):
+        for line in INTO_A_FOLDER:
+            refused(line, ("taken: another process is writing to it",))
+
+
+def test_what_is_checked_is_checked_under_the_lock(place, monkeypatch, run):
+    """Another command that ends between the check and the lock would be overwritten."""
+
+    @contextmanager
+    def late(folder):
+        with locked(folder):
+            Path(folder, "manifest.txt").write_text("of another command", encoding="utf-8")
+            yield
+
+    monkeypatch.setattr("p4dgs_ref.output.locked", late)
+    for line in ("render good.p4dgs --frames 1 -o new", "oracle export new", "classroom new"):
+        code, out, err = run(line)
+        assert (code, out) == (2, "") and "new" in err, line
+        assert os.listdir("new") == ["manifest.txt"]
+        shutil.rmtree("new")
+
+
+def test_a_command_that_is_stopped_at_its_end_says_that_all_is_written(place, monkeypatch, capsys):
+    replace = os.replace
+
+    def interrupted(*names):
+        signal.raise_signal(signal.SIGTERM)
+        monkeypatch.setattr(os, "replace", replace)
+        replace(*names)
+
+    for line in ("classroom new", "oracle export vectors"):
+        monkeypatch.setattr(os, "replace", interrupted)
+        assert main(line.split()) == 130
+        folder = line.split()[-1]
+        assert capsys.readouterr().err == f"p4dgs-ref: stopped; all files are in {folder}\n"
+        assert len(os.listdir(folder)) >= 3 and not list(Path(folder).glob(".p4*"))
+
+
+def test_no_argument_may_be_empty_or_contain_nul(capsys):
     every = subcommands(parser())
     for one in [*every.values(), *subcommands(every["oracle"]).values()]:
         for argument in one._actions:
             if argument.nargs != 0:
-                with pytest.raises(SystemExit, match="2"):
-                    one.parse_args([*argument.option_strings[-1:], ""])
-                said = capsys.readouterr().err
-                assert re.search(r"(expected|invalid choice).*''", said), said
+                for text in ("", "a\0b"):
+                    with pytest.raises(SystemExit, match="2"):
+                        one.parse_args([*argument.option_strings[-1:], text])
+                    said = capsys.readouterr().err
+                    assert re.search(rf"(expected|invalid choice).*{re.escape(repr(text))}", said)
 
 
 def test_no_test_views():
@@ -404,6 +468,8 @@ def test_no_test_views():
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
     monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
+    for rate in ("lr_d", "lr_c"):  # such rates are refused
+        monkeypatch.setitem(presets.REQUIREMENTS, rate, ("any", lambda ends: True))
 
     def failed(line):
         code, _, err = run(f"{line} --preset smoke --quiet")
@@ -421,6 +487,13 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
     found = failed("demo scene -o new --set lr_c=1e38,1e38")
     assert found.startswith("1: equation 'color', its 'mlp', forward: y[0, 0] is inf")
     assert sorted(place.rglob("*")) == before
+
+
+def test_a_folder_of_another_training_is_refused_before_any_work(place, run, monkeypatch):
+    """Not only after the training was estimated, which takes a step of it."""
+    monkeypatch.setattr("p4dgs_ref.cli.job.estimate", None)
+    code, _, err = run("train scene -o run --preset smoke")
+    assert code == 2 and "run/checkpoint.npz: exists; --resume" in err and err.count("\n") == 1
 
 
 def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):

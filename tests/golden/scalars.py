@@ -12,8 +12,7 @@ from p4dgs_ref import EQUATIONS
 from p4dgs_ref.scenes.dnerf import lens_of
 from p4dgs_ref.scenes.files import make_view
 from p4dgs_ref.splatting import covariance
-from tests.golden.flat import as_published
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 
 def identity(y):

@@ -22,7 +22,6 @@ from p4dgs_ref import EQUATIONS, __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast, expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
-from p4dgs_ref.oracle.streams import write_streams
 from p4dgs_ref.output import staged_folder
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
@@ -345,7 +344,7 @@ def regenerate(folder, progress):
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
         write(place, progress)
-        write_streams(place)
+        shutil.copytree(streams.STREAMS, place / "streams")
 
 
 def main():

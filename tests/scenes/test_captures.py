@@ -145,7 +145,7 @@ def test_times_of_a_capture(tmp_path):
         frame["time"] = 0.5
     file.write_text(json.dumps(data), encoding="utf-8")
     with pytest.warns(UserWarning):
-        refuse(("frames[4].time: missing; expected a number in [0, 1]",), load_scene, folder)
+        refuse(("frames[4].time: missing; expected one number in [0, 1]",), load_scene, folder)
     data["frames"][4]["time"] = 0
     file.write_text(json.dumps(data), encoding="utf-8")
     scene, told = read(folder)

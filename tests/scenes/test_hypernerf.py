@@ -243,7 +243,7 @@ def test_anchors_start_from_the_points(folder, tmp_path):
 
 VIEW = f"camera/{LEFT[1]}.json"
 MISTAKES = [
-    ("scene.json", {"scale": None}, ("scene.json: scale", "a number")),
+    ("scene.json", {"scale": None}, ("scene.json: scale", "one number")),
     ("scene.json", {"scale": 0}, ("scene.json: scale", "1e-09")),
     ("scene.json", {"scale": 1e8}, ("scene.json: scale", "camera or point beyond 1e+06")),
     ("scene.json", {"center": [0, 0]}, ("scene.json: center", "shape [3]")),
@@ -276,8 +276,8 @@ MISTAKES = [
     ),
     (VIEW, {"position": [1, 2]}, (f"{VIEW}: position", "shape [3]")),
     (VIEW, {"position": [1, 2, 1e8]}, ("scene.json: scale", "camera or point beyond 1e+06")),
-    (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "a number in [1e-09")),
-    (VIEW, {"focal_length": "long"}, (f"{VIEW}: focal_length", "a number")),
+    (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "one number in [1e-09")),
+    (VIEW, {"focal_length": "long"}, (f"{VIEW}: focal_length", "one number")),
     (VIEW, {"principal_point": 3}, (f"{VIEW}: principal_point", "shape [2]")),
     (VIEW, {"skew": 0.1}, (f"{VIEW}: skew", "[0, 0]")),
     (VIEW, {"pixel_aspect_ratio": 0}, (f"{VIEW}: pixel_aspect_ratio", "1e-09")),
@@ -309,6 +309,13 @@ MISSING = [
 def test_files_that_are_missing(folder, name, words):
     shutil.move(folder / name, folder.parent)
     refuse(words, load_scene, folder)
+
+
+def test_a_folder_of_pictures_whose_number_is_absurd_is_none(folder):
+    for smaller in ("2x", "4x"):
+        shutil.rmtree(folder / "rgb" / smaller, ignore_errors=True)
+    (folder / "rgb" / "1x").rename(folder / "rgb" / f"{'1' * 200}x")
+    refuse(("rgb: no pictures", "1x"), load_scene, folder)
 
 
 def test_mistakes_in_the_folder(folder):

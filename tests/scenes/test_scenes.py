@@ -318,7 +318,7 @@ MISTAKES = [
     ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
     ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
-    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "a number")),
+    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "one number")),
     ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
     ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
     ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
@@ -330,7 +330,7 @@ MISTAKES = [
             ("h", 9, "w, h, cx, cy: 12x9", "12x8 pixels"),
             ("camera_angle_y", 0, "[1e-06"),
             ("fl_x", 20, "camera_angle_x: 0.69; expected 0.582914", "fl_x"),
-            ("k1", math.nan, "nan; expected a number"),
+            ("k1", math.nan, "nan; expected one number"),
             ("k3", -1e-9, "-1e-09; expected 0", "undistort"),
             ("k4", math.nan, "nan; expected 0", "undistort"),
             ("distortion_params", [0, 0.1], "[0, 0.1]; expected 0", "undistort"),
@@ -463,6 +463,11 @@ IN_THE_FOLDER = [
         {},
         ("transforms_test.json", "frames[1].file_path", "r_001.png", "a picture of RGB"),
     ),
+    (
+        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"v/1\x01 an OpenEXR file"),
+        {},
+        ("r_001.png: cannot be read (Pillow can not read the provided bytes.)", "RGB"),
+    ),
     (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
@@ -479,6 +484,15 @@ def test_mistakes_in_the_folder(folder, change, options, words):
     change(folder)
     options = {**options, "path": folder / options.get("path", "")}
     refuse(words, load_scene, **options)
+
+
+def test_a_picture_for_which_memory_is_too_small_is_not_called_broken(folder, monkeypatch):
+    def full(*arguments, **settings):
+        raise MemoryError("12 GiB")
+
+    monkeypatch.setattr("p4dgs_ref.scenes.files.iio.imopen", full)
+    with pytest.raises(MemoryError, match="12 GiB"):
+        load_scene(folder)
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])

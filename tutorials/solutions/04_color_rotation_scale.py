@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Solutions to Eq. (3) for colour and rotation, Eq. (4)
+# # Solutions to Eq. (3') for colour and rotation, Eq. (4)
 
 # %%
 import numpy as np

@@ -9,48 +9,50 @@ from p4dgs_ref import lessons
 from p4dgs_ref.equations import mlp, step
 
 # %% [markdown]
-# **08.1** From $1 + \tanh u = \frac{1}{2}$ follows $\tanh u = -\frac{1}{2}$. In the sigmoid form,
-# $e^{-2u} = 3$, so $u = -\frac{1}{2}\ln 3$.
+# **08.1** From $1 + \tanh\psi_q = \frac{1}{2}$ follows $\tanh\psi_q = -\frac{1}{2}$. In the sigmoid
+# form, $e^{-2\psi_q} = 3$, so $\psi_q = -\frac{1}{2}\ln 3$.
 
 # %%
 lessons.check_number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 
 # %% [markdown]
-# **08.2** What is shared receives the sum over its uses: $\bar u = 4s(1-s)\sum_g Q_{0,g}\,\bar q_g$
-# with $s = \sigma(2u)$, here $0.75\cdot 0.75 = 0.5625$. Each group votes with the weight of its
-# $Q_0$, and a group alone cannot become finer. On the floor no group moves $u$, so $\bar u = 0$.
+# **08.2** What is shared receives the sum over its uses:
+# $$\bar\psi_q = 4g(1-g)\sum_i Q_{0,i}\,\bar q_i, \qquad g = \mathrm{sigmoid}(2\psi_q) = 0.25,
+# \qquad 4g(1-g) = 0.75.$$
+# Each group $i$ votes with the weight of its $Q_0$, and a group alone cannot become finer. On the
+# floor no group moves $\psi_q$, so $\bar\psi_q = 0$.
 
 # %%
 Q_0 = np.array([0.25, 0.01, 0.01, 0.1])
 q_bar = np.array([[1.0, -10, 20, 4]])
 
 
-def shared(u):
-    return step.forward(np.full((1, 1), u), [np.ones((1, 4))], [np.zeros(4)], Q_0)
+def shared(psi):
+    return step.forward(np.full((1, 1), psi), [np.ones((1, 4))], [np.zeros(4)], Q_0)
 
 
 rng = np.random.default_rng(8)
 answer_2 = []
-for u in (-0.5 * np.log(3), -5.0):
-    _, saved = shared(u)
-    u_bar = step.backward(saved, q_bar)["h"].sum()
-    _ = lessons.adjoint(rng, shared, {"u": u}, q_bar, {"u": u_bar})
-    answer_2.append(u_bar)
+for psi in (-0.5 * np.log(3), -5.0):
+    _, saved = shared(psi)
+    psi_bar = step.backward(saved, q_bar)["h"].sum()
+    _ = lessons.adjoint(rng, shared, {"psi": psi}, q_bar, {"psi": psi_bar})
+    answer_2.append(psi_bar)
 lessons.check_number("08.2", answer_2, [0.75 * (Q_0 @ q_bar[0]), 0])
 
 
 # %% [markdown]
-# **08.3** First the slope of the formula, with $1 - s$ written as the sigmoid of $-2u$, then the
-# backward of the network.
+# **08.3** First the slope of the formula, with $1 - g$ written as the sigmoid of $-2\psi_q$, then
+# the backward of the network.
 
 
 # %%
 def my_backward(inputs, cotangents):
-    u, saved = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
-    s = sigmoid(2 * u)
-    slope = 4 * inputs["Q_0"] * s * sigmoid(-2 * u)
-    slope = np.where(2 * s > step.SMALLEST, slope, 0)
+    psi_q, saved = mlp.forward(inputs["h"], inputs["weights"], inputs["biases"])
+    g = sigmoid(2 * psi_q)
+    slope = 4 * inputs["Q_0"] * g * sigmoid(-2 * psi_q)
+    slope = np.where(2 * g > step.SMALLEST, slope, 0)
     gradients = mlp.backward(saved, cotangents["q_bar"] * slope)
     return {"h": gradients["x"], "weights": gradients["weights"], "biases": gradients["biases"]}
 
@@ -62,6 +64,6 @@ lessons.check_backward("08.3", my_backward, "step")
 # the result is one such step, 27 % too small; at $-5$ it is 0. The sigmoid has no such step.
 
 # %%
-u = np.array([-4, -5], np.float16)
-assert (1 + np.tanh(u)).tolist() == [2**-11, 0]
-assert np.allclose(2 * sigmoid(2 * u), 1 + np.tanh(u.astype(float)), rtol=2e-3)
+psi_q = np.array([-4, -5], np.float16)
+assert (1 + np.tanh(psi_q)).tolist() == [2**-11, 0]
+assert np.allclose(2 * sigmoid(2 * psi_q), 1 + np.tanh(psi_q.astype(float)), rtol=2e-3)

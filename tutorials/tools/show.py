@@ -127,15 +127,15 @@ def ellipses(ax, mean2d, cov2d, **style):
 
 def families(ax, model, camera, anchor, t=None):
     """Draw anchors, their children, and a line from each to its anchor; one family stands out."""
-    g = model.gaussians(t, camera)
+    g, own = model.gaussians(t, camera), lessons.THREAD.color
     parents = g.index // model.design.k
     anchors, children = (to_pixels(x, camera) for x in (model.anchors.x_a, g.x))
     lines, of_anchor = np.stack([anchors[parents], children], axis=1), parents == anchor
-    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, STEP, 3, 70)):
+    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, own, 3, 70)):
         ax.add_collection(LineCollection(lines[which], colors=color, lw=width, zorder=1 + width))
         ax.scatter(*children[which].T, size, color, lw=0, zorder=2 + width)
     ax.scatter(*anchors.T, 26, ANCHOR, lw=0, zorder=3)
-    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=STEP, lw=3, zorder=6)
+    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=own, lw=3, zorder=6)
 
 
 def strip(ax, sizes, y, colors, labels=()):

@@ -22,7 +22,7 @@ from tutorials.tools import gallery, glossary, handout, shared, tour
 from tutorials.tools.shared import FOLDER, write_text
 
 PATHS = {  # through the ideas of the method, by what a reader knows
-    "you know 3DGS": ("01", "02", "03", "05", "07", "08", "09", "10", "11"),
+    "you know 3DGS": ("01", "02", "03", "05", "07", "08", "09", "10", "11", "12"),
     "you do not": ("01", "02", "03", "05", "07", "08", "10", "13", "14", "15"),
 }
 

@@ -24,7 +24,7 @@ GOLDEN, PLASTIC = 0.6180339887498949, 0.7548776662466927
 def simulate(
     scene_json: str | Path,
     out_dir: str | Path,
-    progress: Callable[[int, int], object] = lambda done, total: None,
+    progress: Callable = lambda done, total: None,
 ) -> None:
     """Draw all views of a scene.json into a folder.
 

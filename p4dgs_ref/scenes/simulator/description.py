@@ -130,11 +130,9 @@ def read_description(source):
     require(description.bodies, f"{where}: bodies", "empty; expected at least one body")
     known = {None}
     for i, body in enumerate(description.bodies):
-        place = f"{where}: bodies[{i}]"
-        require(body.name not in known, f"{place}.name", f"{body.name!r} is taken")
         require(
             body.parent in known,
-            f"{place}.parent",
+            f"{where}: bodies[{i}].parent",
             f"{body.parent!r}; expected a body listed before",
         )
         known.add(body.name)
