@@ -11,7 +11,7 @@ import os
 import re
 import warnings
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -111,7 +111,7 @@ def make_view(name, image, lens, R, T, time, color, downscale, where):
     from the corner of the picture, and the distortion of `hypernerf`.
     """
     if premultiplied(image):
-        warnings.warn(
+        warn_once(
             "in the partly transparent pixels of a picture no colour exceeds alpha, as if it were "
             "multiplied by it; expected straight alpha"
         )
@@ -123,6 +123,12 @@ def make_view(name, image, lens, R, T, time, color, downscale, where):
     camera = Camera(R, T, *focal.tolist(), *(middle - 0.5).tolist(), *pixels.shape[1::-1])  # Q20
     alpha = None if alpha is None else box_filter(alpha, downscale)
     return View(name, pixels, alpha, camera, time)
+
+
+@cache
+def warn_once(text):
+    """Warn, but not again for every picture."""
+    warnings.warn(text)
 
 
 def premultiplied(image):

@@ -2,7 +2,6 @@
 
 import os
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 from numpy.typing import ArrayLike
@@ -20,7 +19,7 @@ def load_scene(
     path: str | Path,
     background: ArrayLike = WHITE,
     downscale: int = 1,
-    progress: Callable = lambda done, total: None,
+    progress=lambda done, total: None,
 ) -> Scene:
     """Read a scene from a folder, or one of the packaged scenes by its name.
 

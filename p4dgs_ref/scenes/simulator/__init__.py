@@ -5,7 +5,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ GOLDEN, PLASTIC = 0.6180339887498949, 0.7548776662466927
 def simulate(
     scene_json: str | Path,
     out_dir: str | Path,
-    progress: Callable = lambda done, total: None,
+    progress=lambda done, total: None,
 ) -> None:
     """Draw all views of a scene.json into a folder.
 
