@@ -80,8 +80,8 @@ lessons.show(figure, "01_offsets_free")
 # $$\{x_0,\dots,x_{k-1}\} = x_a + \{O_0,\dots,O_{k-1}\}\cdot l_a \tag{1}$$
 # Here $x_a$ is the position of the anchor, $l_a$ is a scaling for each axis, and $O_j$ is the
 # learned offset of child $j$, one of $k$ children. The dot multiplies axis by axis. Size, rotation,
-# opacity and colour of the children follow from the feature of the anchor (`02_view` to
-# `04_color_rotation_scale`).
+# opacity and colour of the children follow from the *feature* $f_a$ of the anchor, a row of $d$
+# numbers, and from its *scale* $s_a$ (`02_view` to `04_color_rotation_scale`).
 
 # %% [markdown]
 # ## By hand

@@ -118,7 +118,9 @@ A, n = 5, 3
 f = rng.normal(size=(A, n))
 u = rng.random((A, n)) - 0.5
 q = rng.uniform(0.1, 0.4, (A, 1))
-f_noisy, saved = noise.forward(f, u, q)  # paper, Sec. 3.3; silent: Q23, how often it is drawn
+# paper, Sec. 3.3: noise while training, hard rounding afterwards
+# silent: Q23, how often noise is drawn, and Q19, where the grid of steps begins and what ties do
+f_noisy, saved = noise.forward(f, u, q)
 (symbols, f_hat), _ = rounding.forward(f, q)
 half_step = q / 2 * (1 + 1e-12)
 assert (np.abs(f_hat - f) <= half_step).all()
@@ -429,6 +431,18 @@ lessons.check_number("07.2", answer_2)
 lessons.check_number("07.3", answer_3)
 
 # %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` check
+# what a port wrote. Ports differ at ties: `round` in C rounds them away from zero, and `Math.round`
+# in JavaScript rounds them up. Use `rint` or an equivalent function, and compare the integers.
+
+# %%
+from p4dgs_ref import oracle
+
+lessons.passes("rounding", "noise")
+assert oracle.check(EQUATIONS["rounding"], "rounding_ties").ok
+
+# %% [markdown]
 # ## For ports
 # The symbols are the primary output. A decoder multiplies and never rounds, so it cannot disagree
 # with the encoder. The code divides in `float64` regardless of the precision of the inputs. In
@@ -447,15 +461,3 @@ assert (quotients[wrong] % 1 == 0.5).all()
 i = wrong[0]
 example = f"{values[i]} / {steps[i]} gives {in_single[i]:.0f} instead of {in_double[i]:.0f}"
 print(f"{len(wrong)} of {len(values)} symbols differ: {example}")
-
-# %% [markdown]
-# ## Check your port
-# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` check
-# what a port wrote. Ports differ at ties: `round` in C rounds them away from zero, and `Math.round`
-# in JavaScript rounds them up. Use `rint` or an equivalent function, and compare the integers.
-
-# %%
-from p4dgs_ref import oracle
-
-lessons.passes("rounding", "noise")
-assert oracle.check(EQUATIONS["rounding"], "rounding_ties").ok

@@ -143,7 +143,7 @@ assert after / n_parameters < before / n_parameters
 # sum, and a masked one receives 0. With $n$ parameters, with $\overline{bits}$ for the cotangent of
 # the sum before dividing, and with a mask $m$ that is 1 for everything but masked offsets,
 # $$\bar R_{\rm anchor} = \bar R_{\rm hash}
-# = \frac{\bar{\mathcal L}_{\rm rate}}{n} + \overline{bits}, \qquad
+# = \frac{\bar{\mathcal{L}}_{\rm rate}}{n} + \overline{bits}, \qquad
 # \bar b_{aj} = m_{aj}\,\bar R_{\rm anchor}.$$
 
 # %%

@@ -10,15 +10,16 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..output import new_file, staged_folder, writable_folder, write_atomically
+from ..limits import counted
+from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.files import write_image
-from ..scenes.load import find_scene, read_points_for, read_scene_json
+from ..scenes.load import read_points_for, read_scene_json
 from ..training import advice
-from ..training.fit import CHECKPOINT, fit, load_model
+from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
 from ..training.presets import choose
 from ..training.trainer import Trainer
 from . import UsageError, ask, print_result, print_warning, progress, require, show, text
@@ -47,13 +48,15 @@ def read_file(path):
 
 
 def estimate(arguments, trainer):
-    """Time the first steps of a long training, and go on only if the user wants it."""
+    """Time the first step of a long training, and go on only if the user wants it."""
     iterations = trainer.preset.iterations
     if iterations <= 10_000 and trainer.primitives <= 2000:
         return
-    # The median of three leaves out what only the first one does.
-    seconds = np.median([timed(trainer.step)[1] for _ in range(min(3, iterations))])
-    ask(arguments, f"{iterations} iterations, later ones slower", seconds * iterations)
+    ask(
+        arguments,
+        f"{iterations} iterations, later ones slower",
+        iterations * timed(trainer.step)[1],
+    )
 
 
 def demo(arguments):
@@ -85,12 +88,13 @@ def train(arguments):
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, Trainer(scene, preset))
-    if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
-        print_warning(
-            "no scene.json lists effects, so all are trained; "
-            f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
-        )
+        if "effects" not in read_scene_json(scene.source):
+            print_warning(
+                "no scene.json lists effects, so all are trained; "
+                f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
+            )
     for sentence in advice.before(scene, preset, arguments.seed):
         print_warning(sentence)
     with writable_folder(arguments.output) as folder:
@@ -105,7 +109,9 @@ def train(arguments):
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
     print_warning(advice.after(trainer))
-    print_result(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
+    print_result(
+        f"{folder}: {trainer.iteration} iterations, {counted(len(trainer.mask), 'anchor')}"
+    )
 
 
 def encode(arguments):

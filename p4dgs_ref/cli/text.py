@@ -1,5 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
+from ..limits import counted
 from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
@@ -27,7 +28,7 @@ def metrics(m, folder):
     """The metrics of the main job in a few lines."""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
-        f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
+        f"{counted(m['anchors'], 'anchor')}, {counted(m['gaussians'], 'Gaussian')}\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  {size(m)}\n"
         f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), "

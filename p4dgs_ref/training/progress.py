@@ -6,6 +6,8 @@ from contextlib import suppress
 
 import numpy as np
 
+from ..limits import counted
+
 ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
@@ -43,8 +45,8 @@ class Progress:
         line = (
             f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
             f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
-            f"{losses.L_rate:.2f} bits/parameter  {trainer.primitives} anchors  "
-            f"{len(rendered.index)} Gaussians  {ms:.1f} ms/step"
+            f"{losses.L_rate:.2f} bits/parameter  {counted(trainer.primitives, 'anchor')}  "
+            f"{counted(len(rendered.index), 'Gaussian')}  {ms:.1f} ms/step"
         )
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"

@@ -25,6 +25,7 @@ from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART, locked
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import MAX_JSON_BYTES
+from p4dgs_ref.training import presets
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
@@ -253,7 +254,7 @@ LINES = [
     ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
     ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
-    ("demo --set voxel=nan", ("'voxel'", "positive")),
+    ("demo --set voxel=nan", ("'voxel'", "1e-09")),
     ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
     ("demo --set upright=perhaps", ("'upright'", "perhaps")),
     ("demo --set grow=wild", ("'grow'", "wild")),
@@ -457,6 +458,8 @@ def test_no_test_views():
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
     monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
+    for rate in ("lr_d", "lr_c"):  # such rates are refused
+        monkeypatch.setitem(presets.REQUIREMENTS, rate, ("any", lambda ends: True))
 
     def failed(line):
         code, _, err = run(f"{line} --preset smoke --quiet")
@@ -474,6 +477,13 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
     found = failed("demo scene -o new --set lr_c=1e38,1e38")
     assert found.startswith("1: equation 'color', its 'mlp', forward: y[0, 0] is inf")
     assert sorted(place.rglob("*")) == before
+
+
+def test_a_folder_of_another_training_is_refused_before_any_work(place, run, monkeypatch):
+    """Not only after the training was estimated, which takes a step of it."""
+    monkeypatch.setattr("p4dgs_ref.cli.job.estimate", None)
+    code, _, err = run("train scene -o run --preset smoke")
+    assert code == 2 and "run/checkpoint.npz: exists; --resume" in err and err.count("\n") == 1
 
 
 def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):

@@ -13,11 +13,13 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
+from p4dgs_ref.codec.container import EncodeError
+from p4dgs_ref.codec.file import encode
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
 from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
-from p4dgs_ref.training.fit import fit
+from p4dgs_ref.training.fit import CHECKPOINT, fit
 from p4dgs_ref.training.progress import COLUMNS
 from tests.sampling import few
 from tests.tutorials import drawn
@@ -44,6 +46,19 @@ def done(scene, tmp_path_factory):
 def table(path):
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def test_a_training_that_no_file_holds_is_kept(scene, tmp_path):
+    """Its checkpoint stays in the folder, and the error says so in one line."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(EncodeError) as refused:
+        patch.setattr(
+            job, "encode", lambda model: encode(replace(model, box=(np.full(3, np.nan),) * 2))
+        )
+        job.main_job(scene, "smoke", 2, tmp_path / "new", **CHANGES)
+    assert str(refused.value).endswith(f"; the training is kept in {tmp_path / 'new'}")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [CHECKPOINT]
+    trainer = fit(scene, "smoke", 2, folder=tmp_path / "new", resume=True, **CHANGES)
+    assert trainer.iteration == 45 and trainer.history
 
 
 def test_files_and_tables(done, scene):
