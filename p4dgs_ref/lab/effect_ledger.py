@@ -51,7 +51,7 @@ def counted():
     work = Work(Counter(), Counter())
 
     def count(event, mark, frame, value):
-        if event == "return":
+        if event == "return" and value is not None:  # None: the call was interrupted
             work.calls[mark] += 1
             if mark[1] == "forward":
                 work.multiply_adds.update(multiply_adds(mark[0], value[1]))

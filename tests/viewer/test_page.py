@@ -40,10 +40,9 @@ def test_the_pages_are_fresh(file):
 def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
     assert [*PAGES] == [lambdas.PAGE] and lambdas.PAGE.stat().st_size < 600_000
     files, notes = held(lambdas.PAGE.read_text(encoding="utf-8"))
-    rates = (lambdas.OWN, *lambdas.OTHERS)
-    assert [*files] == [lambdas.name_of(rate) for rate in rates]
+    assert [*files] == [lambdas.name_of(rate) for rate in lambdas.RATES]
     assert files["demo.p4dgs"] == (TUTORIALS / "demo.p4dgs").read_bytes()
-    assert [note["lambda_rate"] for note in notes.values()] == [*rates]
+    assert tuple(note["lambda_rate"] for note in notes.values()) == lambdas.RATES
     assert notes["demo.p4dgs"]["anchor"] == lessons.THREAD.index
     layers = (view.VIEWER / "layers.js").read_text(encoding="utf-8")
     assert f'MARKED = "{lessons.THREAD.color.lower()}"' in layers
