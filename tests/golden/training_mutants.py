@@ -13,7 +13,6 @@ from operator import attrgetter
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import compare
-from p4dgs_ref.training import parameters
 from tests.golden.kill_matrix import Judge, laboratory
 from tests.golden.mutate import applied, mutations_of
 
@@ -34,7 +33,6 @@ def cases():
 def called():
     """Return the code of all functions of the training that the steps call."""
     codes = set()
-    parameters.exponential.cache_clear()  # a kept result calls nothing
 
     def note(frame, event, _):
         if event == "call" and frame.f_globals.get("__name__", "").startswith(ROOM):
@@ -66,7 +64,6 @@ def noticed(mutation):
     """Return whether the published bounds notice a mutation, and whether NARROW ones do."""
     is_wrong = is_far = False
     try:
-        parameters.exponential.cache_clear()  # its results are those of the right function
         with laboratory(), applied(mutation):
             for case in cases():
                 bounds, got = case.tolerance("float64"), Judge.answer(None, case)
@@ -76,8 +73,6 @@ def noticed(mutation):
                     break
     except Exception:  # a changed program may fail in any way
         return True, True
-    finally:
-        parameters.exponential.cache_clear()
     return is_wrong, is_far
 
 
