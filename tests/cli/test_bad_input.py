@@ -396,7 +396,6 @@ INTO_A_FOLDER = (
     "decode good.p4dgs -o taken",
     "render good.p4dgs --frames 1 --size 4 -o taken",
     "evaluate good.p4dgs scene -o taken",
-    "inspect good.p4dgs -o taken",
     "simulate scene.json -o taken",
     "oracle export taken",
     "accuracy -o taken",
