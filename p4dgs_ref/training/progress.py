@@ -48,13 +48,12 @@ class Progress:
         if self.stream is None or not (due or done in (1, total)):
             return
         # The most important numbers come first, because a narrow terminal cuts the line.
-        each = seconds / self.steps
         line = (
-            f"{done:{len(str(total))}d}/{total}  {each * (total - done):.0f} s left  stage {stage}"
-            f"  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at {view.camera.width}x"
-            f"{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
+            f"{done:{len(str(total))}d}/{total}  {seconds / self.steps * (total - done):.0f} s left"
+            f"  stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at "
+            f"{view.camera.width}x{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
             f"{counted(trainer.primitives, 'anchor')}  "
-            f"{counted(len(rendered.index), 'Gaussian')}  {1e3 * each:.1f} ms/step"
+            f"{counted(len(rendered.index), 'Gaussian')}  {1e3 * seconds / self.steps:.1f} ms/step"
         )
         self.shown, self.steps = time.monotonic(), 0
         if self.live:
