@@ -13,7 +13,6 @@ from operator import attrgetter
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import compare
-from p4dgs_ref.training import parameters
 from tests.golden.kill_matrix import Judge, laboratory
 from tests.golden.mutate import applied, mutations_of
 
@@ -23,7 +22,7 @@ SUBJECTS = "training", "training_whole", "trace"
 NARROW = 64  # eps S: the largest bound that these cases had
 # What happens before the first step; the state that it leaves is given here.
 BEFORE = {"random_layers", "Trainer.__init__", "Trainer.begin", "Trainer.next_view"}
-BEFORE |= {"MAX_MOMENT_BYTES", "ROWS"}  # how much is kept, and an order that nothing depends on
+BEFORE |= {"ROWS"}  # an order that nothing depends on
 
 
 def cases():
@@ -75,8 +74,6 @@ def noticed(mutation):
                     break
     except Exception:  # a changed program may fail in any way
         return True, True
-    finally:
-        parameters.exponential.cache_clear()
     return is_wrong, is_far
 
 
