@@ -152,19 +152,19 @@ def staged_folder(path, reads=None):
     with writable_folder(path) as folder, locked(folder), new_part(folder) as part:
         yield part
         files = files_in(part)
-        for file in files:
-            with new_file(folder / file.relative_to(part), reads):
-                pass
-        with deferred(f"; all files are in {folder}"):  # they move, or none does
+        with ExitStack() as proven:  # takes away folders that it made if not all can be written
             for file in files:
-                place = folder / file.relative_to(part)
-                try:
-                    os.replace(file, destination(place))
-                except OSError as error:
-                    if error.errno != errno.EXDEV:
-                        raise
-                    with replaced(place) as there:  # on another disk, where a link leads
-                        shutil.move(file, there)
+                proven.enter_context(new_file(folder / file.relative_to(part), reads))
+            with deferred(f"; all files are in {folder}"):  # they move, or none does
+                for file in files:
+                    place = folder / file.relative_to(part)
+                    try:
+                        os.replace(file, destination(place))
+                    except OSError as error:
+                        if error.errno != errno.EXDEV:
+                            raise
+                        with replaced(place) as there:  # on another disk, where a link leads
+                            shutil.move(file, there)
 
 
 @contextmanager

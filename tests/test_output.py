@@ -121,6 +121,16 @@ def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, num
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
 
 
+def test_folders_within_are_removed_where_another_file_cannot_be_written(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(OutputError, match="taken: expected a regular file"):
+        with staged_folder(tmp_path) as staging:
+            (staging / "streams").mkdir()
+            (staging / "streams" / "first").write_bytes(b"new")
+            (staging / "taken").write_bytes(b"longer")
+    assert os.listdir(tmp_path) == ["taken"]
+
+
 def test_without_descriptors_nothing_is_left_and_the_first_error_stays(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:

@@ -199,13 +199,14 @@ of_length = gradient(anchors, x_c, delta_vc_bar=delta_bar)
 assert np.array_equal(of_length, d_vc * delta_bar)
 
 # %% [markdown]
-# For the direction we use the quotient rule, then substitute $v = \delta\,d_{vc}$ and
-# $d\delta = d_{vc}\cdot dv$. With $d(d_{vc})$ for the change of the direction,
-# $$d(d_{vc}) = \frac{dv}{\delta} - \frac{v\,d\delta}{\delta^2}
+# For the direction we use the quotient rule, then substitute $v = \delta\,d_{vc}$ and $d\delta =
+# d_{vc}\cdot dv$. With $\mathrm{d}d_{vc}$ for the change of the direction,
+# $$\mathrm{d}d_{vc} = \frac{dv}{\delta} - \frac{v\,d\delta}{\delta^2}
 # = \frac{1}{\delta}\bigl(I - d_{vc}d_{vc}^T\bigr)\,dv.$$
-# The matrix in brackets is a *projector*. It removes the component of $dv$ along $d_{vc}$ and keeps
-# the component perpendicular to it. This makes sense, because a step along the ray does not change
-# the direction in which the anchor is seen.
+# Here $I$ is the identity and $T$ stands for transposing. The matrix in brackets is a *projector*.
+# It removes the component of $dv$ along $d_{vc}$ and keeps the component perpendicular to it. This
+# makes sense, because a step along the ray does not change the direction in which the anchor is
+# seen.
 
 # %%
 projector = np.eye(3) - d_vc[:, :, None] * d_vc[:, None, :]  # [A, 3, 3]
@@ -271,6 +272,8 @@ lessons.finish(
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
+    xlim=(-5.4, 5.4),
+    ylim=(-5.4, 5.4),
     title="Gradients of anchors around a camera (triangle):\n"
     r"along the ray from $\bar\delta_{vc} = 1$, across it from $\bar d_{vc} = (1, 0, 0)$",
     title_size=13,
@@ -279,10 +282,10 @@ lessons.show(figure, "02_view")
 
 # %% [markdown]
 # ## Break it
-# Suppose we treat the length in the denominator as a constant, so that $\bar v = \bar d/\delta$
-# without the projector. The shape is right, and the adjoint identity holds for every step
-# *perpendicular* to the ray. It fails for a step *along* the ray: the broken gradient claims that
-# the loss changes, although moving along the ray changes no direction.
+# Suppose we treat the length in the denominator as a constant, so that $\bar v = \bar
+# d_{vc}/\delta$ without the projector. The shape is right, and the adjoint identity holds for every
+# step *perpendicular* to the ray. It fails for a step *along* the ray: the broken gradient claims
+# that the loss changes, although moving along the ray changes no direction.
 
 # %%
 broken = d_bar / delta_vc
@@ -423,6 +426,23 @@ lessons.check_forward("02.2", my_forward, "view")
 lessons.check_backward("02.3", my_backward, "view")
 
 # %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check DIR --only view` compares what a port wrote. The usual mistake is a
+# direction that points from the anchor *to* the camera. A network that is trained with the wrong
+# sign learns to live with it, so training does not show the mistake. A file from another encoder
+# does, and so does the checker.
+
+
+# %%
+def to_camera(x_a, x_c):
+    (delta_vc, d_vc), _ = view.forward(x_a, x_c)
+    return delta_vc, -d_vc
+
+
+lessons.passes("view")
+lessons.caught(to_camera, "view", "to the camera")
+
+# %% [markdown]
 # ## For ports
 # The square of a length near `1e200` is larger than any float, so Eq. (2) as printed gives
 # infinity. The function `numerics.length` therefore uses `np.hypot`, which computes $\sqrt{a^2 +
@@ -461,20 +481,3 @@ assert as_sum.dtype == np.float32
 assert abs(as_sum - exact) < 1e-6 * exact
 assert abs(textbook - exact) > 0.5 * exact
 print(f"exact {exact:.6e}, as a sum {as_sum:.6e}, textbook form {textbook:.6e}")
-
-# %% [markdown]
-# ## Check your port
-# `p4dgs-ref oracle check DIR --only view` compares what a port wrote. The usual mistake is a
-# direction that points from the anchor *to* the camera. A network that is trained with the wrong
-# sign learns to live with it, so training does not show the mistake. A file from another encoder
-# does, and so does the checker.
-
-
-# %%
-def to_camera(x_a, x_c):
-    (delta_vc, d_vc), _ = view.forward(x_a, x_c)
-    return delta_vc, -d_vc
-
-
-lessons.passes("view")
-lessons.caught(to_camera, "view", "to the camera")

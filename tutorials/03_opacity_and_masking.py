@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can run a multilayer perceptron backward by hand, and explain
 # what a Gaussian that is not drawn can still learn. **Before it:** `01_offsets`, `02_view`.
-# **Takes** four seconds of machine time on two cores, 25 minutes of reading and 35 of exercises.
+# **Takes** four seconds of machine time on two cores, 30 minutes of reading and 35 of exercises.
 #
 # **Files:** Eq. (3) [opacity.py](../p4dgs_ref/equations/opacity.py),
 # [masking.py](../p4dgs_ref/equations/masking.py), [mlp.py](../p4dgs_ref/equations/mlp.py),
@@ -81,9 +81,9 @@ print("hidden units", hidden, "| psi", psi, "| alpha", np.tanh(psi).round(4))
 
 # %% [markdown]
 # ## In code
-# One layer is $x W + b$, where each row of $x$ is one sample: `x [N, I]`, `W [I, J]`, `b [J]`. A
-# ReLU follows every layer except the last. `opacity.forward` puts the three inputs side by side,
-# applies this network with `mlp.forward`, and takes the $\tanh$.
+# One layer is $x W + b$ with weights $W$ and biases $b$, where each row of $x$ is one sample: `x
+# [N, I]`, `W [I, J]`, `b [J]`. A ReLU follows every layer except the last. `opacity.forward` puts
+# the three inputs side by side, applies this network with `mlp.forward`, and takes the $\tanh$.
 
 # %%
 from p4dgs_ref.equations import masking, mlp, opacity
@@ -172,9 +172,9 @@ lessons.show(figure, "03_opacity_and_masking")
 # ## Backward by hand
 # We go backwards: first masking, then $\tanh$, then the network.
 #
-# **Masking** copies numbers, $y_n = \alpha_{i(n)}$, where $i(n)$ is `index`. The cotangent of each
-# kept number therefore goes back to the place where the number came from, and a dropped number
-# receives zero. In other words, the backward of gathering is scattering.
+# **Masking** copies numbers: Gaussian $n$ of the list gets $y_n = \alpha_{i(n)}$, where $i(n)$ is
+# `index`. The cotangent of each kept number therefore goes back to the place where the number came
+# from, and a dropped number receives zero. In other words, the backward of gathering is scattering.
 
 # %%
 A, k, d = 6, 4, 3
@@ -202,13 +202,13 @@ assert close(last_bias_bar, slopes)
 
 # %% [markdown]
 # **The network**, first with numbers: one input, one hidden unit and one output, $z = x w_0 + b_0$,
-# $h = \max(0, z)$ and $y = h w_1 + b_1$. The ReLU has the slope 1 where $h > 0$ and 0 elsewhere,
-# which we write as $[h > 0]$. Going backward,
-# $$\bar w_1 = h\,\bar y,\quad \bar b_1 = \bar y,\quad \bar h = w_1\bar y,\quad
-# \bar z = [h > 0]\,\bar h,\quad
+# $x_1 = \max(0, z)$ and $y = x_1 w_1 + b_1$. The ReLU has the slope 1 where $x_1 > 0$ and 0
+# elsewhere, which we write as $[x_1 > 0]$. Going backward,
+# $$\bar w_1 = x_1\,\bar y,\quad \bar b_1 = \bar y,\quad \bar x_1 = w_1\bar y,\quad
+# \bar z = [x_1 > 0]\,\bar x_1,\quad
 # \bar w_0 = x\,\bar z,\quad \bar b_0 = \bar z,\quad \bar x = w_0\bar z.$$
-# For $x = 2$, $w_0 = 1.5$, $b_0 = -1$, $w_1 = 3$ and $\bar y = 4$ we get $h = 2$ and $\bar z = 12$,
-# so the weights receive 24 and 8, and the input receives 18.
+# For $x = 2$, $w_0 = 1.5$, $b_0 = -1$, $w_1 = 3$ and $\bar y = 4$ we get $x_1 = 2$ and $\bar z =
+# 12$, so the weights receive 24 and 8, and the input receives 18.
 
 # %%
 one_by_one = [np.array([[1.5]]), np.array([[3.0]])]
@@ -251,8 +251,8 @@ for i in (2, 1, 0):
 assert close(ours["x"], bar)
 
 # %% [markdown]
-# The ReLU does not need to save its input, because $h > 0$ exactly where its input was positive. At
-# its kink we choose the gradient zero.
+# The ReLU does not need to save its input, because $x_1 > 0$ exactly where its input was positive.
+# At its kink we choose the gradient zero.
 
 # %%
 _, at_the_kink = mlp.forward(np.zeros((1, 1)), [np.ones((1, 1))] * 2, [np.zeros(1)] * 2)
@@ -400,6 +400,23 @@ lessons.check_backward("03.3", my_mlp_backward, "mlp")
 lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check DIR --only opacity` checks what a port wrote; `masking` and `mlp` are
+# checked in the same way. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, but the paper if
+# $\alpha \ge \tau_\alpha$. On random inputs both give the same result, so one of the golden cases
+# has an opacity exactly at the threshold.
+
+
+# %%
+def strict_masking(tau_alpha, **given):
+    just_above = np.nextafter(tau_alpha, np.inf)
+    return masking.forward(tau_alpha=just_above, **given)[0]
+
+
+lessons.passes("opacity", "masking", "mlp")
+lessons.caught(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")
+
+# %% [markdown]
 # ## For ports
 # The slope $1 - \alpha^2$ loses its digits where $\alpha$ is nearly 1. The code computes it without
 # the subtraction:
@@ -464,20 +481,3 @@ lessons.label(
     (10, 1e-3),
 )
 lessons.show(figure, "03_opacity_and_masking_slope")
-
-# %% [markdown]
-# ## Check your port
-# `p4dgs-ref oracle check DIR --only opacity` checks what a port wrote; `masking` and `mlp` are
-# checked in the same way. Scaffold-GS keeps a Gaussian if $\alpha > \tau_\alpha$, but the paper if
-# $\alpha \ge \tau_\alpha$. On random inputs both give the same result, so one of the golden cases
-# has an opacity exactly at the threshold.
-
-
-# %%
-def strict_masking(tau_alpha, **given):
-    just_above = np.nextafter(tau_alpha, np.inf)
-    return masking.forward(tau_alpha=just_above, **given)[0]
-
-
-lessons.passes("opacity", "masking", "mlp")
-lessons.caught(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")

@@ -385,19 +385,6 @@ lessons.check_backward("04.3", my_rotation_backward, "rotation")
 lessons.check_backward("04.4", my_scale_backward, "scale")
 
 # %% [markdown]
-# ## For ports
-# The function `numerics.sigmoid_slope` uses $\mathrm{sigmoid}(-\psi)$ for the $1 - c$ of the slope.
-# It is the same number, but it keeps its digits where $c$ is almost one. At $\psi = 40$, for
-# example, $c$ rounds to 1 and the textbook slope $c\,(1 - c)$ is 0, although the true slope is
-# $e^{-40}$.
-
-# %%
-assert close(sigmoid_slope(psi), share * (1 - share))
-c = 1 / (1 + np.exp(-40.0))
-assert c * (1 - c) == 0
-assert close(sigmoid_slope(40.0), np.exp(-40))
-
-# %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only rotation` compares what a port wrote, and the same works with
 # `color` and `scale`. The usual mistake is a quaternion with the real part *last*, as several
@@ -413,3 +400,16 @@ def real_part_last(**inputs):
 
 lessons.passes("color", "rotation", "scale")
 lessons.caught(real_part_last, "rotation", "(x, y, z, w)")
+
+# %% [markdown]
+# ## For ports
+# The function `numerics.sigmoid_slope` uses $\mathrm{sigmoid}(-\psi)$ for the $1 - c$ of the slope.
+# It is the same number, but it keeps its digits where $c$ is almost one. At $\psi = 40$, for
+# example, $c$ rounds to 1 and the textbook slope $c\,(1 - c)$ is 0, although the true slope is
+# $e^{-40}$.
+
+# %%
+assert close(sigmoid_slope(psi), share * (1 - share))
+c = 1 / (1 + np.exp(-40.0))
+assert c * (1 - c) == 0
+assert close(sigmoid_slope(40.0), np.exp(-40))

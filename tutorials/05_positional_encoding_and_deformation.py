@@ -89,10 +89,10 @@ lessons.show(figure, "05_positional_encoding_and_deformation_raw")
 # canonical space:
 # $$(\Delta x, \Delta s, \Delta r) = \psi_d(\mathrm{concat}(\mathcal{E}(x), \mathcal{E}(t)))
 # \tag{5}$$
-# Here $x$ is the canonical position of a Gaussian, $t$ is the time, and $\mathcal{E}$ is the
-# positional encoding. The paper does not print $\mathcal{E}$. This project uses the one of `D3DGS`,
-# on which the paper builds: the number itself, then waves of $L$ frequencies, each twice the one
-# before, without a factor $\pi$:
+# Here $x$ is the canonical position of a Gaussian, $s$ is its size, $r$ its rotation, $t$ is the
+# time, and $\mathcal{E}$ is the positional encoding. The paper does not print $\mathcal{E}$. This
+# project uses the one of `D3DGS`, on which the paper builds: the number itself, then waves of
+# a number $L$ of frequencies, each twice the one before, without a factor $\pi$:
 # $$\mathcal{E}(p) = (p, \sin 2^0 p, \cos 2^0 p, \dots, \sin 2^{L-1} p, \cos 2^{L-1} p)$$
 
 # %% [markdown]

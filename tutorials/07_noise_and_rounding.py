@@ -118,7 +118,9 @@ A, n = 5, 3
 f = rng.normal(size=(A, n))
 u = rng.random((A, n)) - 0.5
 q = rng.uniform(0.1, 0.4, (A, 1))
-f_noisy, saved = noise.forward(f, u, q)  # paper, Sec. 3.3; silent: Q23, how often it is drawn
+# paper, Sec. 3.3: noise while training, hard rounding afterwards
+# silent: Q23, how often noise is drawn, and Q19, where the grid of steps begins and what ties do
+f_noisy, saved = noise.forward(f, u, q)
 (symbols, f_hat), _ = rounding.forward(f, q)
 half_step = q / 2 * (1 + 1e-12)
 assert (np.abs(f_hat - f) <= half_step).all()
@@ -412,7 +414,9 @@ gains.show(
 # with the shared step $0.25$, and all cotangents are one. Give $\bar q$ as this port computes it,
 # and the slope of $q\,\mathrm{rint}(f/q)$ in $q$ that differences find.
 #
-# **07.3** ●● Write the backward of Eq. (7).
+# **07.3** ●● One number $f = 2$ has the step $q = 0.6$ and the loss $L = \frac{1}{2}\tilde f^2$, so
+# $\bar{\tilde f} = \tilde f$. Will descent widen or narrow the step? Give the means of $\bar f$ and
+# of $\bar q$ over all draws of $u$.
 #
 # **Predict, then run.** All numbers of a group are exact multiples of their step. What is the mean
 # squared error with the noise of training, and what is it in the file?
@@ -420,19 +424,23 @@ gains.show(
 # %%
 answer_1 = ...
 answer_2 = ...
-
-
-def my_backward(inputs, cotangents):
-    """Return the gradients {"f" [A, n], "q" [A, 1]}.
-
-    inputs["u"] and cotangents["f_noisy_bar"] have the shape [A, n].
-    """
-    raise NotImplementedError
-
+answer_3 = ...
 
 lessons.check_number("07.1", answer_1)
 lessons.check_number("07.2", answer_2)
-lessons.check_backward("07.3", my_backward, "noise")
+lessons.check_number("07.3", answer_3)
+
+# %% [markdown]
+# ## Check your port
+# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` check
+# what a port wrote. Ports differ at ties: `round` in C rounds them away from zero, and `Math.round`
+# in JavaScript rounds them up. Use `rint` or an equivalent function, and compare the integers.
+
+# %%
+from p4dgs_ref import oracle
+
+lessons.passes("rounding", "noise")
+assert oracle.check(EQUATIONS["rounding"], "rounding_ties").ok
 
 # %% [markdown]
 # ## For ports
@@ -453,15 +461,3 @@ assert (quotients[wrong] % 1 == 0.5).all()
 i = wrong[0]
 example = f"{values[i]} / {steps[i]} gives {in_single[i]:.0f} instead of {in_double[i]:.0f}"
 print(f"{len(wrong)} of {len(values)} symbols differ: {example}")
-
-# %% [markdown]
-# ## Check your port
-# `p4dgs-ref oracle check DIR --only rounding` and `p4dgs-ref oracle check DIR --only noise` check
-# what a port wrote. Ports differ at ties: `round` in C rounds them away from zero, and `Math.round`
-# in JavaScript rounds them up. Use `rint` or an equivalent function, and compare the integers.
-
-# %%
-from p4dgs_ref import oracle
-
-lessons.passes("rounding", "noise")
-assert oracle.check(EQUATIONS["rounding"], "rounding_ties").ok

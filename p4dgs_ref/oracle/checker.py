@@ -166,7 +166,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         required=bool(names) and (is_valid or verdict == "fail"),
         findings=tuple(mistaken or findings),
         unasked=(*unasked, *sorted(vague)),
-        recipe=RECIPES[case.subject] if is_valid and findings and not mistaken else "",
+        recipe=RECIPES[case.subject] if is_valid and (findings or vague) and not mistaken else "",
         group=case.group,
     )
 

@@ -157,7 +157,7 @@ def read_ply(path):
         head,
         path,
         f"begins with {data[:120]!r}; expected a .ply in binary_little_endian whose header, up to "
-        f"'end_header' at most {MAX_HEADER_BYTES} bytes, has 'vertex' first, with properties of one "
+        f"'end_header' at most {MAX_HEADER_BYTES} bytes, has 'vertex' first and properties of one "
         "number each",
     )
     count, lines = head.groups()

@@ -119,8 +119,8 @@
     return { v: file.symbols[at] * file.q[4 * a + g], mu, sigma, q };
   }
 
-  /** The bell of Eq. (12) and the bin of Eq. (11) that v is rounded into; axes from -1 to 1 are
-   *  `reach` wide on each side of `middle`. The coder's own tables give the bits. */
+  /** The bell of Eq. (12) and the bin of Eq. (11) that v is rounded into. The axis ends `reach` on
+   *  each side of `middle`; the bell is always as high. The coder's own tables give the bits. */
   function bell({ v, mu, sigma, q }, { middle, reach }) {
     const symbol = p4dgs.roundHalfEven(v / q);
     const units = [(UNITS.mu * mu) / q, UNITS.sigma * Math.log2(sigma / q)].map(Math.round);

@@ -320,5 +320,5 @@
   }
 
   const LAYERS = { grid, ellipses, paths, motion, families };
-  Object.assign(exported, { LAYERS, selection, pixel, nearest, nodesRead, kept });
+  Object.assign(exported, { LAYERS, behindSurface, selection, pixel, nearest, nodesRead, kept });
 })((globalThis.layers = {}));

@@ -227,9 +227,9 @@
 
   /** How many Gaussians are painted, and those of the chosen pixel. */
   function showPixel(frame, order, count) {
-    $("painted").max = String(order.length);
-    $("painted").value = String(count);
-    $("painted-now").value = `${whole(count)} of ${whole(order.length)}`;
+    $("splats").max = String(order.length);
+    $("splats").value = String(count);
+    $("splats-now").value = `${whole(count)} of ${whole(order.length)}`;
     const at = state.pixel.map((share) => Math.round(share * frame.camera.size[0] - 0.5));
     $("pixel").replaceChildren(...explain.pixel(frame, order, count, at));
   }
@@ -337,6 +337,7 @@
     $("coarser").value = "0";
     for (const id of BROKEN) $(id).checked = false;
     change();
+    if (state.selected !== null) ownNumber();
   }
 
   /** A picture of a model for the comparison, on the processor. */
@@ -512,6 +513,7 @@
       refuse(name, large);
       return;
     }
+    if (chosen()?.data !== data) listOwn(name, data);
     const size = state.model ? homeDistance(state.model) : Infinity;
     Object.assign(state, { name, data, model, bits: null, changed: null });
     Object.assign(state, { fewer: 1, spent: 0 });
@@ -537,7 +539,7 @@
 
   let request = 0; // files so far; the last one that is asked for is shown, whichever ends last
 
-  /** Shows a file, whose bytes `read` promises; says whether it is shown. */
+  /** Shows a file, whose bytes `read` promises. */
   async function open(name, read) {
     const own = ++request;
     $("message").textContent = "";
@@ -545,24 +547,19 @@
       const data = await read();
       const model = own === request && (await decoded(data));
       if (own === request) load(name, data, model);
-      return state.data === data;
     } catch (error) {
       if (own === request) refuse(name, error.message);
     }
   }
 
   /** Shows a file of the visitor. */
-  async function openFile(file) {
+  function openFile(file) {
     if (!file) return;
-    const isOpen = await open(file.name, async () => {
+    open(file.name, async () => {
       const isLarge = file.size > MOST_BYTES;
       if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
       return new Uint8Array(await file.arrayBuffer());
     });
-    if (!isOpen) return;
-    files[held.length] = { name: file.name, data: state.data, isOwn: true };
-    listFiles();
-    $("scene").selectedIndex = held.length;
   }
 
   const decodeBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -582,6 +579,13 @@
     $("scene").hidden = files.length < 2;
   }
 
+  /** The visitor's file is the last one of the list. */
+  function listOwn(name, data) {
+    files[held.length] = { name, data, isOwn: true };
+    listFiles();
+    $("scene").selectedIndex = held.length;
+  }
+
   // --- files of other lambda --------------------------------------------------------------------
   const rates = files.filter((file) => "lambda_rate" in file);
   rates.sort((one, other) => one.lambda_rate - other.lambda_rate);
@@ -598,9 +602,9 @@
     const fixed = networkBytes(state.model);
     const size = file.data.length;
     $("curve").replaceChildren(explain.curve(rates, visited, file, fixed));
-    tell("rate-says",
+    $("rate-says").textContent =
       `${whole(size)} bytes: ${whole(fixed)} for networks, ${whole(size - fixed)} for the rest. ` +
-        `PSNR against the true pictures of the test views: ${file.psnr_db.toFixed(1)} dB.`);
+      `PSNR against the true pictures of the test views: ${file.psnr_db.toFixed(1)} dB.`;
   }
 
   // --- controls ---------------------------------------------------------------------------------
@@ -718,8 +722,8 @@
       $("scene").selectedIndex = files.indexOf(rates[Number($("rate").value)]);
       openChosen();
     });
-    on("painted", "input", () => {
-      const { value, max } = $("painted");
+    on("splats", "input", () => {
+      const { value, max } = $("splats");
       state.painted = value === max ? Infinity : Number(value);
       ask();
     });

@@ -231,6 +231,18 @@ async function lambdas(browser) {
   check(`"${said}"`, right.test(said));
   const sizes = await evaluate("page.rates.map(({ data }) => data.length)");
   check(`bytes ${sizes}`, sizes.every((size, i) => i === 0 || size < sizes[i - 1]));
+  const one = join(ROOT, "p4dgs_ref", "oracle", "streams_v1", "one_anchor.p4dgs");
+  const data = base64(readFileSync(one));
+  await show(browser, `${ours("demo.html")}#step=context`);
+  await until(browser, "page.state.selected === 29", "the anchor is not that of the tutorials");
+  await evaluate(`{ const dataTransfer = new DataTransfer();
+    const bytes = Uint8Array.from(atob("${data}"), (letter) => letter.charCodeAt(0));
+    dataTransfer.items.add(new File([bytes], "one.p4dgs"));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer })); }`);
+  await until(browser, "page.state.name === 'one.p4dgs'", "a file does not open");
+  check("its anchor", (await evaluate("page.state.selected")) === 0);
+  const option = await evaluate("$('scene').selectedOptions[0]?.text");
+  check(`the list says ${option}`, option?.includes("one.p4dgs"));
 }
 
 /** Links: what they keep, and what is no value. */
@@ -263,6 +275,9 @@ async function links(browser) {
   const filled = (text) => `id="files">${JSON.stringify(text)}</script>`;
   writeFileSync(at("two.html"), page.replace(/id="files">.*<\/script>/, filled(held)));
   const other = await seen("#step=2&file=2", String(pathToFileURL(at("two.html"))));
+  const color = "[...document.querySelectorAll('[data-link]'), document.body].map(colorOf)";
+  const colors = await evaluate(`(colorOf => ${color})((one) => getComputedStyle(one).color)`);
+  check(`dead links have the colours ${colors}`, new Set(colors).size === 1);
   const dots = await evaluate("document.querySelectorAll('#steps [value]:not([hidden])').length");
   check(`${dots} steps without files of other lambda`, dots === 9);
   check(`file 2 is ${other.name}`, other.name === "demo.p4dgs" && other.step === "children");
@@ -282,6 +297,37 @@ async function links(browser) {
   await show(browser, ours("demo.html")); // in its folder, from which the links lead on
   const hrefs = await evaluate("[...document.querySelectorAll('[data-link]')].map((a) => a.href)");
   check(`links ${hrefs}`, hrefs.length === 3 && hrefs.every((href) => href.startsWith("file:")));
+}
+
+/** Of the three balls, and of what is behind them. */
+async function surfaces(browser) {
+  const { evaluate } = browser;
+  await window(browser, SIZES[0]);
+  await show(browser, `${ours("demo.html")}#step=children`, 128);
+  await until(browser, "page.state.frame.camera.size[0] === 128", "no picture of 128 pixels");
+  const found = await evaluate(`(() => {
+    const { frame } = page.state;
+    const isBehind = layers.behindSurface(frame);
+    const order = p4dgs.frontToBack(frame.splats);
+    const { image } = p4dgs.compositing(frame.splats, draw.settings(frame.model, frame.camera));
+    const counts = [0, 0, 0];
+    for (let i = 0; i < image.length; i += 3) {
+      const pixel = [...image.slice(i, i + 3)];
+      const most = Math.max(...pixel);
+      const isVivid = pixel.filter((v) => 1.3 * v < most).length === 2 && most > 0.2;
+      if (isVivid) counts[pixel.indexOf(most)] += 1;
+    }
+    return { counts, first: isBehind(order[0]), share: order.filter(isBehind).length / order.length };
+  })()`);
+  check(`pixels of the balls: ${found.counts}`, found.counts.every((count) => count > 250));
+  const said = `${found.share} of the children are behind a surface`;
+  check(said, !found.first && found.share > 0.2 && found.share < 0.8);
+  await evaluate("location.hash = 'step=bits'");
+  await until(browser, "$('strip').offsetParent", "no strip");
+  const colors = await evaluate(`[...$("strip").children, $("play")].map((one) =>
+    getComputedStyle(one).backgroundColor)`);
+  const [plain] = colors.splice(-1);
+  check(`the strip has the colours ${colors}`, colors.every((color) => color !== plain));
 }
 
 /** Keys, mouse and full screen; a mouse that drags with Shift moves the scene. */
@@ -442,7 +488,7 @@ function command(line) {
 /** What the driver compares with: pictures of the test views, and other files. */
 function checks() {
   command(`render ${DEMO} --scene bouncing --settings exact -o ${at("views")}`);
-  command(`train bouncing --preset smoke --set anchors=5000 --quiet -o ${at("large")}`);
+  command(`train bouncing --preset smoke --set anchors=5000 --quiet --yes -o ${at("large")}`);
   command(`encode ${at("large")} -o ${at("large.p4dgs")}`);
   command(`view ${at("large.p4dgs")} -o ${at("large.html")}`);
   const frames = readFileSync(join(ROOT, "tiny_scenes/bouncing/transforms_test.json"), "utf8");
@@ -467,7 +513,7 @@ async function main() {
     for (const [size, theme] of isQuick ? [windows[0], windows[5]] : windows) {
       await walk(browser, size, theme);
     }
-    for (const part of [lambdas, links, hands, slowness, fingers, wishes]) await part(browser);
+    for (const part of [lambdas, surfaces, links, hands, slowness, fingers, wishes]) await part(browser);
   });
   if (isQuick) return;
   const known = JSON.stringify(checks());

@@ -6,19 +6,19 @@ It trains five times. Only the page holds the four other files; a slow test make
 from pathlib import Path
 
 import p4dgs_ref as p4
+from p4dgs_ref import lessons
 from p4dgs_ref.report import view
 
 from .demo import file
 
 PAGE = Path(__file__).parents[2] / "tutorials" / "viewer" / "demo.html"
-ANCHOR = 29  # of the demo: the one that the tutorials follow
-OWN = p4.PRESETS["tiny"].lambda_rate
 OTHERS = (5e-5, 2e-3, 8e-3, 3.2e-2)
+RATES = (p4.PRESETS["tiny"].lambda_rate, *OTHERS)
 
 
 def name_of(lambda_rate):
     """The name of a file in the page."""
-    return "demo.p4dgs" if lambda_rate == OWN else f"lambda_rate={lambda_rate:g}.p4dgs"
+    return f"lambda_rate={lambda_rate:g}.p4dgs" if lambda_rate in OTHERS else "demo.p4dgs"
 
 
 def note(data, lambda_rate):
@@ -29,10 +29,9 @@ def note(data, lambda_rate):
 
 def main():
     """Train and write the page."""
-    files = {name_of(rate): file(lambda_rate=rate) for rate in (OWN, *OTHERS)}
-    rates = zip(files, (OWN, *OTHERS), strict=True)
-    notes = {name: note(files[name], rate) for name, rate in rates}
-    notes["demo.p4dgs"]["anchor"] = ANCHOR
+    files = {name_of(rate): file(lambda_rate=rate) for rate in RATES}
+    notes = {name_of(rate): note(files[name_of(rate)], rate) for rate in RATES}
+    notes["demo.p4dgs"]["anchor"] = lessons.THREAD.index
     PAGE.write_bytes(view.page(files, notes))
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.scenes.dnerf import make_camera
 from p4dgs_ref.splatting import covariance
-from tests.golden.flat import as_published
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 
 def identity(y):

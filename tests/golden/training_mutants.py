@@ -33,6 +33,7 @@ def cases():
 def called():
     """Return the code of all functions of the training that the steps call."""
     codes = set()
+    parameters.exponential.cache_clear()  # a kept result calls nothing
 
     def note(frame, event, _):
         if event == "call" and frame.f_globals.get("__name__", "").startswith(ROOM):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
@@ -32,6 +33,24 @@ def test_a_formula_as_printed_is_acceptable_and_fails_strictly(tmp_path, capsys)
     assert json.loads(capsys.readouterr().out)["levels"]["L0"]["acceptable"] == 1
     assert cli.run([*check, "--strict"], 0.0) == 1
     assert json.loads(capsys.readouterr().out)["first_divergence"] == "opacity"
+
+
+def printed_view(x_a, x_c):
+    """The root of a sum of squares, which overflows and underflows at distances of 1e+-200."""
+    ray = x_a - x_c
+    delta = np.sqrt((ray**2).sum(axis=1, keepdims=True))
+    with np.errstate(all="ignore"):
+        return delta, np.where(delta + abs(ray).max(initial=0) > 0, ray / delta, 0)
+
+
+def test_where_a_formula_overflows_the_report_names_the_case_and_the_recipe():
+    with np.errstate(over="ignore", under="ignore"):
+        said = str(oracle.check(printed_view, "view"))
+        nan = oracle.check(lambda **i: (printed_view(**i)[0], np.nan * i["x_a"]), "view/far")
+        strict = oracle.check(printed_view, "view", strict=True)
+    assert "too: view/far, view/near\n  what keeps the digits: delta_vc by hypot" in said
+    assert [finding.tensor for finding in nan.first.findings] == ["out.d_vc"]
+    assert {"view/far", "view/near"} <= {r.id for r in strict.results if r.wrong}
 
 
 # --- wrong formulas -----------------------------------------------------------------------------

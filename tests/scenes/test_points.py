@@ -62,9 +62,9 @@ def header(old="", new=""):
         (
             "list.ply",
             header("uchar red", "list uchar int red"),
-            ["format binary", "properties of one"],
+            ["format binary", "and properties of one"],
         ),
-        ("short.ply", header("uchar red", "red"), ["properties of one"]),
+        ("short.ply", header("uchar red", "red"), ["and properties of one"]),
         (
             "ascii.ply",
             header("binary_little_endian", "ascii"),

@@ -205,6 +205,17 @@ def test_views_times_and_sizes_of_the_packaged_scenes():
     assert max(steps["orbit"]) < 1.2 < min(steps["bouncing"])
 
 
+def test_an_orbit_moves_the_training_camera_alone_as_it_says():
+    cameras = {**FULL["cameras"], "kind": "orbit", "turns": 0.5, "train": 5}
+    orbit, scattered = changed(cameras=cameras), changed()
+    azimuths = [
+        math.atan2(*camera.center[[1, 0]]) / math.pi for camera, _ in place_cameras(orbit, "train")
+    ]
+    np.testing.assert_allclose(np.unwrap(azimuths, period=2), np.linspace(0, 1, 5), atol=1e-12)
+    for (one, _), (other, _) in zip(*(place_cameras(s, "test") for s in (orbit, scattered))):
+        np.testing.assert_array_equal(one.center, other.center)
+
+
 def test_nothing_is_left_of_a_drawing_that_stops(tmp_path):
     def stop(done, total):
         raise KeyboardInterrupt

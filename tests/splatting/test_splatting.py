@@ -69,6 +69,16 @@ def test_loop_and_fast_without_cuts_equal_the_exact_twin(height, width, alpha):
             assert relative(bar, exact_bars[name]) < 1e-11, (module.__name__, name)
 
 
+def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
+    """A hundred wide opaque splats: none of the ranks behind the first 32 can be seen."""
+    inputs = splats(100, 8, 8, alpha=(0.98, 0.99))
+    inputs["mean2d"][:] = 4
+    inputs["conic"][:], inputs["cov2d"][:] = [1e-4, 0, 1e-4], [1e4, 0, 1e4]
+    image, T, _ = run(fast, inputs, np.ones((8, 8, 3)), settings=FAST)
+    exact, *_ = run(compositing, inputs, np.ones((8, 8, 3)))
+    assert largest(image, exact) < FAST.stop + 1e-6 and T.max() < FAST.stop
+
+
 @pytest.mark.parametrize("ratio", needles.RATIOS)
 def test_needles_have_all_their_digits_in_every_renderer(ratio):
     """Image and every number of the gradients, against decimals, in both precisions."""

@@ -8,6 +8,7 @@ import subprocess
 
 import pytest
 
+from p4dgs_ref import lessons
 from p4dgs_ref.report import view
 from tests import ROOT
 from tests.golden import demo, lambdas
@@ -39,11 +40,12 @@ def test_the_pages_are_fresh(file):
 def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
     assert [*PAGES] == [lambdas.PAGE] and lambdas.PAGE.stat().st_size < 600_000
     files, notes = held(lambdas.PAGE.read_text(encoding="utf-8"))
-    rates = (lambdas.OWN, *lambdas.OTHERS)
-    assert [*files] == [lambdas.name_of(rate) for rate in rates]
+    assert [*files] == [lambdas.name_of(rate) for rate in lambdas.RATES]
     assert files["demo.p4dgs"] == (TUTORIALS / "demo.p4dgs").read_bytes()
-    assert [note["lambda_rate"] for note in notes.values()] == [*rates]
-    assert notes["demo.p4dgs"]["anchor"] == lambdas.ANCHOR
+    assert tuple(note["lambda_rate"] for note in notes.values()) == lambdas.RATES
+    assert notes["demo.p4dgs"]["anchor"] == lessons.THREAD.index
+    layers = (view.VIEWER / "layers.js").read_text(encoding="utf-8")
+    assert f'MARKED = "{lessons.THREAD.color.lower()}"' in layers
     ((name, data),) = of_the_day(files.items())
     assert lambdas.note(data, 0)["psnr_db"] == pytest.approx(notes[name]["psnr_db"], abs=0.01)
 
