@@ -64,7 +64,6 @@ def mutations():
 def noticed(mutation):
     """Return whether the published bounds notice a mutation, and whether NARROW ones do."""
     is_wrong = is_far = False
-    try:
         parameters.exponential.cache_clear()  # its results are those of the right function
         with laboratory(), applied(mutation):
             for case in cases():
