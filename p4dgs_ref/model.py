@@ -308,9 +308,12 @@ class Model:
         """The number of anchors."""
         return len(self.anchors.mask)
 
-    def gaussians(self, t: float, camera: Camera) -> Gaussians:
-        """The Gaussians at time t in [0, 1] for this camera. Raises ValueError for NaN."""
-        if not np.isfinite(t):
+    def gaussians(self, t: float | None, camera: Camera) -> Gaussians:
+        """The Gaussians at time t in [0, 1] for this camera; None gives the canonical ones.
+
+        Raises ValueError for NaN.
+        """
+        if t is not None and not np.isfinite(t):
             raise ValueError(f"t: expected a time in [0, 1], got {t}")
         x_c = np.asarray(camera.center, self.anchors.x_a.dtype)
         return predict(self.design, self.networks, self.anchors, x_c, t)[0]

@@ -108,7 +108,7 @@ assert not no_direction.any()
 # The next figure walks around the trained scene. Anchor 29 (purple) is at rest in its canonical
 # place, but its distance and direction change, and with them the colours that the network $\psi_c$
 # gives to its three children: the middle one is bright red where the highlight is seen and dark on
-# the other side. Its file stores these children once, for all cameras.
+# the other side. The file stores these children once, for all cameras.
 # [See it move](viewer/demo.html#step=3): colours follow the direction while the camera turns.
 
 # %%

@@ -414,9 +414,9 @@ gains.show(
 # with the shared step $0.25$, and all cotangents are one. Give $\bar q$ as this port computes it,
 # and the slope of $q\,\mathrm{rint}(f/q)$ in $q$ that differences find.
 #
-# **07.3** ●● One number $f = 2$ has the step $q = 0.6$ and the loss $L = \frac{1}{2}\tilde f^2$, so
-# $\bar{\tilde f} = \tilde f$. Will descent widen or narrow the step? Give the means of $\bar f$ and
-# of $\bar q$ over all draws of $u$.
+# **07.3** ●● One number $f = 2$ has the step $q = 0.6$ and the loss $\mathcal{L} =
+# \frac{1}{2}\tilde f^2$, so $\bar{\tilde f} = \tilde f$. Will descent widen or narrow the step?
+# Give the means of $\bar f$ and of $\bar q$ over all draws of $u$.
 #
 # **Predict, then run.** All numbers of a group are exact multiples of their step. What is the mean
 # squared error with the noise of training, and what is it in the file?

@@ -8,8 +8,9 @@ from contextlib import nullcontext
 
 from ..output import new_file, staged_folder
 from ..report.figures import write_csv
-from ..scenes.load import list_effects, load_scene, packaged_folder
+from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require, show
+from .job import load
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
 
@@ -29,8 +30,7 @@ def accuracy(arguments):
         rows = study.measure(trained, progress)
         write_csv(staging / "accuracy.csv", rows)
         picture.draw(staging / "accuracy.png", rows)
-    text = f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png"
-    show(arguments, {"rows": rows, "disturbed": study.disturbed(rows)}, text)
+    print_result(f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png")
 
 
 def hard_cases(arguments):
@@ -52,7 +52,7 @@ def effects(arguments):
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    scene = load_scene(arguments.scene)
+    scene = load(arguments)
     with staged_folder(arguments.output) as staging:
         ledger = effect_ledger.of_scene(scene)
         if arguments.gain:
@@ -68,9 +68,9 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..lab.suggest import seconds_of, suggest
+    from ..lab.suggest import list_effects, seconds_of, suggest
 
-    scene = load_scene(arguments.scene)
+    scene = load(arguments)
     folder = scene.source
     if arguments.apply:
         require(

@@ -17,6 +17,8 @@ from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import compression, evaluate, json_safe, timed
 
+OVERFITTED = 6  # dB by which training views may be better than test views without a warning
+
 
 def main_job(
     scene: Scene,
@@ -52,6 +54,14 @@ def main_job(
         path.write_bytes(data)
         model, decode_seconds = timed(decode, path.read_bytes())
         measures, rows, images = evaluate(model, scene)
+        trained = evaluate(model, scene, split="train")[0]["psnr_db"]
+        if trained > measures["psnr_db"] + OVERFITTED:
+            warnings.warn(
+                f"scene {scene.name}: training views have {trained:.2f} dB at {measures['size']}, "
+                f"test views {measures['psnr_db']:.2f} dB: the model knows the pictures better "
+                "than the scene; more cameras, or slower motion between them, would tell more",
+                stacklevel=2,
+            )
         warning = advice.after(trainer)
         metrics = {
             "scene": scene.name,
@@ -59,6 +69,7 @@ def main_job(
             "seed": seed,
             "arithmetic": arithmetic(),
             **measures,
+            "train_psnr_db": trained,
             **compression(model, data, measures["gaussians"]),
             "train_seconds": seconds,
             "ms_per_step": 1e3 * seconds / preset.iterations,

@@ -13,11 +13,8 @@ from .initial import lattice_nodes, starting_points
 from .progress import psnr
 
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
-FEW_POINTS = 0.1  # the share of starting points that may merge or be unseen without a warning
 FAR = 10  # times the distance from the middle of nine tenths of the points
 DIFFERENCE = 0.1  # of a channel, from which on two pixels disagree
-TIMES = 9  # the model is drawn at so many; the median of these pictures shows it at rest
-MAX_VIEWS = 20  # that are drawn so; of more views every second, third, ... is taken
 # Of the squared error of the mean of the training pictures, the least share that a model removes.
 # On four scenes of moving bodies, two seeds each, models removed 0.84 to 0.95, the same with half
 # of every body cut off 0 to 0.33, with half transparent bodies 0.44 to 0.67; on a fifth, in which
@@ -54,7 +51,7 @@ def empty_pictures(scene):
 
 
 def odd_points(scene, preset, seed, points):
-    """A warning of points to start from that merge, that no view sees, or that lie far off."""
+    """A warning of points to start from that merge or lie far off, or that cameras do not see."""
     points = scene.points if points is None else points
     # The training draws the same points from this seed.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
@@ -64,7 +61,8 @@ def odd_points(scene, preset, seed, points):
         mean2d, *_, visible = render.project(points, size, turn, c, FAST)[0]
         shares = (mean2d + 0.5) / (c.width, c.height)  # of the picture, from its corner
         seen |= visible & ((shares >= 0) & (shares <= 1)).all(axis=1)
-    reach = np.abs(points - np.median(points, axis=0)).max(axis=1)
+    middle = np.median(points, axis=0)
+    reach, away = np.abs(points - middle).max(axis=1), np.abs(scene.center - middle).max()
     far = np.sum(reach > FAR * np.quantile(reach, 0.9))
     counts = {
         f"sharing the voxel of another, so that they merge (voxel {preset.voxel:g})": (
@@ -73,12 +71,13 @@ def odd_points(scene, preset, seed, points):
         "outside every training view": np.sum(~seen),
         f"more than {FAR} times as far from their middle as nine tenths of them": far,
     }
-    if not far and max(counts.values()) <= FEW_POINTS * len(points):
+    # A tenth of the points may merge or be unseen.
+    if max(counts.values()) <= len(points) / 10 and not far and away <= reach.max():
         return ""
     told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return (
-        f"scene {scene.name}: of {counted(len(points), 'starting point')}, {told}; check their "
-        "units and axes"
+        f"scene {scene.name}: of {counted(len(points), 'starting point')}, {told or 'all are seen'}"
+        f"; cameras look {away:.3g} from their middle, they reach {reach.max():.3g}; check units"
     )
 
 
@@ -92,13 +91,14 @@ def after(trainer):
     """
     model, scene = trainer.model(), trainer.scene
     views, mean = scene.test or scene.train, np.mean([v.image for v in scene.train], axis=0)
-    views = views[:: 1 + len(views) // MAX_VIEWS]
+    views = views[:: 1 + len(views) // 20]  # 10 to 20 of many
     if not any(len(model.gaussians(v.time, v.camera).alpha) for v in views):
         return (
             f"scene {scene.name}: the model draws nothing: every child is masked (min_opacity="
             f"{trainer.preset.min_opacity:g}) or below tau_alpha={trainer.preset.tau_alpha:g}"
         )
-    times, pixels = np.quantile([v.time for v in scene.train], np.linspace(0, 1, TIMES)), []
+    # The median of the pictures at nine times shows the model at rest.
+    times, pixels = np.quantile([v.time for v in scene.train], np.linspace(0, 1, 9)), []
     if not fx.moves(scene.effects) or not np.ptp(times):
         times = ()
     for v in views:
@@ -116,7 +116,7 @@ def after(trainer):
     return (
         f"scene {scene.name}: only {max(share, 0):.0%} of what "
         f"{'moves' if len(times) else 'is seen'} is there: in these pixels of "
-        f"{'test' if scene.test else 'training'} views the model has {of_model:.2f} dB, the mean "
-        f"of the training pictures {of_mean:.2f} dB; try another seed, more iterations "
-        "(stage_ends), more views or larger bodies"
+        f"{'test' if scene.test else 'training'} views the model has {of_model:.2f} dB at "
+        f"{v.camera.width}x{v.camera.height}, the mean of the training pictures {of_mean:.2f} dB; "
+        "try another seed, more iterations (stage_ends), more views or larger bodies"
     )

@@ -139,7 +139,7 @@ SCENES = [
     (
         "damaged image",
         lambda place: (place / "scene/train/r_1.png").write_bytes(b"\x89PNG"),
-        ("r_1.png", "PNG"),
+        ("r_1.png", "a picture of RGB"),
     ),
     (
         "another size",
@@ -262,7 +262,10 @@ LINES = [
     ("demo --set lr_x=1", ("'lr_x'", "first,last")),
     ("demo --set lambda_rate=nan", ("'lambda_rate'", "number from 0")),
     ("demo --set lr_c=0.1,-1", ("'lr_c'", "rates")),
-    ("train scene -o new --downscale 3", ("transforms_train.json", "downscale 3", "12x8")),
+    ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("evaluate good.p4dgs scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("effects scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("demo scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
     ("train scene -o new --downscale half", ("--downscale", "half")),
     ("demo scene -o text --preset smoke --quiet", ("text", "folder that can be written")),
@@ -294,7 +297,7 @@ LINES = [
     *(
         (f"{command} {file}{rest}", (file, *words))
         for command, rest in (
-            ("inspect", " -o new"),
+            ("inspect", ""),
             ("decode", " -o new"),
             ("render", " -o new"),
             ("evaluate", " scene -o new"),
@@ -314,7 +317,6 @@ LINES = [
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
     ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
-    ("inspect good.p4dgs -o text/new", ("text/new", "folder that can be written")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
     ("render good.p4dgs -o new --size 5000", ("--size", "4096")),
@@ -324,7 +326,15 @@ LINES = [
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
-    ("render good.p4dgs -o new --settings pretty", ("--settings", "pretty", "exact")),
+    *(
+        (f"render good.p4dgs -o new --scene scene --{name} 4", (f"--{name}: expected without",))
+        for name in ("azimuth", "elevation", "distance", "size", "frames")
+    ),
+    (
+        "render good.p4dgs -o new --scene scene --size 4 --frames 2",
+        ("--size, --frames: expected without --scene",),
+    ),
+    ("render good.p4dgs -o new --downscale 4", ("--downscale: expected together with --scene",)),
     ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
     ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
     ("render scene.ply -o new", ("scene.ply: ", "container")),
@@ -335,7 +345,7 @@ LINES = [
         ("transforms_train.json", "camera_angle_x", "unknown field"),
     ),
     ("simulate scene -o new", ("scene", "directory")),
-    ("accuracy --json=yes", ("--json",)),
+    ("stability --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("encode run -o text", ("text: ", "another kind")),
     ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
@@ -492,14 +502,15 @@ def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place
     for line, count in (("scene -o new", 1), ("scene -o run --resume", 0), ("listed -o other", 0)):
         assert command(f"train {line} --preset smoke --quiet") == 0
         err = capsys.readouterr().err
-        assert err.count("effects scene --suggest --apply") == count and "2 training views" in err
+        hint = "effects scene --suggest --apply --downscale 1`"
+        assert err.count(hint) == count and "2 training views" in err
 
 
 def test_out_of_memory(place, run, monkeypatch):
-    def full(*arguments):
+    def full(*arguments, **named):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.cli.job.Trainer", full)
+    monkeypatch.setattr("p4dgs_ref.report.jobs.fit", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")
@@ -529,7 +540,6 @@ ODD = {
 }
 WRITING = {
     "encode run -o {}/x.p4dgs": "x.p4dgs",
-    "inspect good.p4dgs -o {}": "sections.csv",
     "evaluate good.p4dgs scene -o {}": "comparison.png",
     "decode good.p4dgs -o {}": "model.json",
     "train scene -o {} --preset smoke --resume --quiet": "training.csv",
@@ -565,7 +575,6 @@ FULL = {
     "render good.p4dgs -o out --frames 40 --size 6": "out/motion.gif",
     "evaluate good.p4dgs scene -o out": "out/comparison.png",
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
-    "inspect good.p4dgs -o out": "out/sections.png",
     "view good.p4dgs -o out/x.html": "out/x.html",
 }
 

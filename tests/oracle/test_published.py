@@ -16,19 +16,11 @@ from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import FLAGS
 from tests.golden.mistakes import MISTAKES
 from tests.golden.subjects import lacking, subjects
-from tests.golden.vectors import IDS, WRITTEN, damaged, listed, places_in
+from tests.golden.vectors import IDS, RETYPED, WRITTEN, damaged, listed, places_in
 from tests.oracle.answers import Port
 from tests.sampling import few
 
 VERSION_1_0 = "d7ddee11f2361e3b"  # the hash of all its tensors
-# `in.size` was F64 in these cases alone; its numbers have not changed, nor has anything else.
-RETYPED = {
-    f"projection/H-{name}"
-    for name in (
-        *("G1.culled", "G1.beyond_near", "G2.beyond_the_clamp", "G3.1e4px", "G3.1e3px"),
-        *("G3.100px", "G4.scale0", "G4.scale1e-30", "G4.scale1e30"),
-    )
-}
 
 
 @pytest.fixture(scope="module")
