@@ -28,7 +28,7 @@ from .equations import (
     step,
     view,
 )
-from .limits import MAX_ANCHORS, MAX_ENTRIES, MAX_NUMBERS
+from .limits import MAX_ENTRIES, MAX_NUMBERS
 from .splatting import render
 from .splatting.camera import Camera
 from .splatting.settings import FAST, Settings
@@ -98,16 +98,18 @@ def declared_numbers(design, anchors):
     }
 
 
-def beyond_a_file(design, anchors):
-    """The first limit of `limits` that a model with so many anchors breaks, in words, or ""."""
+def over_limits(design, anchors):
+    """The limit of a file that a model with so many anchors breaks, in words, or "".
+
+    An anchor has at least 14 numbers, so MAX_NUMBERS holds its count below MAX_ANCHORS, too.
+    """
     parts = declared_numbers(design, anchors)
     for what, count, most in (
-        ("anchors", anchors, MAX_ANCHORS),
-        ("entries of the grid", parts["grid"], MAX_ENTRIES),
         ("numbers", sum(parts.values()), MAX_NUMBERS),
+        ("entries of the grid", parts["grid"], MAX_ENTRIES),
     ):
         if count > most:
-            return f"{count} {what} declared, expected at most {most}"
+            return f"expected at most {most} {what}, got {count}"
     return ""
 
 

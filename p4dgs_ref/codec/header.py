@@ -54,7 +54,7 @@ from ..limits import (
     MAX_OF,
     MAX_WIDTH,
 )
-from ..model import CONTEXT_NETWORKS, Design, beyond_a_file, declared_numbers
+from ..model import CONTEXT_NETWORKS, Design, declared_numbers, over_limits
 from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
@@ -112,7 +112,7 @@ def read_fields(fields):
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
     design = Design(**values)
-    excess = beyond_a_file(design, anchors)
+    excess = over_limits(design, anchors)
     require_header(not excess, excess)
     return design, anchors, background
 

@@ -56,9 +56,11 @@ def odd_points(scene, preset, seed, points):
     # The training draws the same points from this seed.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
     seen = np.zeros(len(points), bool)
-    size, turn = 0 * points, np.ones((len(points), 4))
     for c in (view.camera for view in scene.train):
-        mean2d, *_, visible = render.project(points, size, turn, c, FAST)[0]
+        # points as Gaussians without a size, so that their rotations do not matter
+        mean2d, *_, visible = render.project(
+            points, 0 * points, np.ones((len(points), 4)), c, FAST
+        )[0]
         shares = (mean2d + 0.5) / (c.width, c.height)  # of the picture, from its corner
         seen |= visible & ((shares >= 0) & (shares <= 1)).all(axis=1)
     middle = np.median(points, axis=0)
@@ -104,8 +106,8 @@ def after(trainer):
     for v in views:
         drawn, *others = (model.render(v.camera, t, trainer.settings) for t in (v.time, *times))
         at_rest = np.median(others, axis=0) if others else np.inf
-        counted = np.abs(v.image - at_rest).max(axis=2) > DIFFERENCE
-        pixels.append([image[counted] for image in (drawn, mean, v.image)])
+        judged = np.abs(v.image - at_rest).max(axis=2) > DIFFERENCE
+        pixels.append([image[judged] for image in (drawn, mean, v.image)])
     drawn, mean, truth = map(np.concatenate, zip(*pixels))
     if np.all(np.abs(mean - truth) <= DIFFERENCE):  # one picture is all that there is to see
         return ""

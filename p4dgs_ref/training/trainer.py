@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 
 from ..equations import hash_grid
-from ..model import Anchors, Model, beyond_a_file, bounding_box, snap, split
+from ..model import Anchors, Model, bounding_box, over_limits, snap, split
 from ..scenes.fields import require
 from ..splatting.settings import FAST
 from . import density, objective
@@ -80,7 +80,7 @@ class Trainer:
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
-        excess = beyond_a_file(self.design, self.primitives)
+        excess = over_limits(self.design, self.primitives)
         require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
@@ -212,7 +212,7 @@ class Trainer:
             self.keep_rows(~dead)  # too late to learn something new: they only cost bytes
         elif preset.grow == "scaffold" and growing:
             added = density.grow(p, statistics, preset, self.rng)
-            if beyond_a_file(self.design, np.sum(~dead) + len(added["x_a"])):
+            if over_limits(self.design, np.sum(~dead) + len(added["x_a"])):
                 warnings.warn("no more anchors grow: a file could not hold them", stacklevel=2)
                 added = None
             self.keep_rows(~dead, added)

@@ -22,7 +22,7 @@ SUBJECTS = "training", "training_whole", "trace"
 NARROW = 64  # eps S: the largest bound that these cases had
 # What happens before the first step; the state that it leaves is given here.
 BEFORE = {"random_layers", "Trainer.__init__", "Trainer.begin", "Trainer.next_view"}
-BEFORE |= {"MAX_MOMENT_BYTES", "ROWS"}  # how much is kept, and an order that nothing depends on
+BEFORE |= {"ROWS"}  # an order that nothing depends on
 
 
 def cases():

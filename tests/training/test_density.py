@@ -61,7 +61,8 @@ def test_growing_stops_at_what_a_file_may_hold(scene, monkeypatch):
     trainer.parameters["O_a"][5, 2] = 0.4
     statistics.gradient[5, 2] = 100.0
     trainer.iteration, trainer.rng = 1600, Always
-    monkeypatch.setattr(model, "MAX_ANCHORS", 12)
+    most = sum(model.declared_numbers(trainer.design, 12).values())
+    monkeypatch.setattr(model, "MAX_NUMBERS", most)
     with pytest.warns(UserWarning, match="^no more anchors grow: a file could not hold them$"):
         trainer.adjust()
     assert trainer.primitives == 12

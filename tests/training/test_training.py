@@ -97,8 +97,11 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"Q_f": 1e-11}, "'Q_f'"),
         ({"feature_std": 1e8}, "'feature_std'"),
         ({"extent": 1e5}, "'extent'"),
-        ({"table_3d": 2**24, "grid_3d": (170, 170), "F": 2}, "entries of the grid declared"),
-        ({"anchors": 10**6}, "'anchors', .* numbers declared"),
+        (
+            {"table_3d": 2**24, "grid_3d": (170, 170), "F": 2},
+            "at most 16777216 entries of the grid, got",
+        ),
+        ({"anchors": 10**6}, "'anchors', .* at most 33554432 numbers, got"),
     ],
 )
 def test_bad_changes_name_the_field(changes, word):
@@ -190,10 +193,12 @@ def test_bad_points_are_refused_in_one_line(scene, points):
 
 
 def test_points_beyond_what_a_file_holds_are_refused_in_one_line(scene, monkeypatch):
-    monkeypatch.setattr(model, "MAX_ANCHORS", 3)
     points = np.eye(3)
+    trainer = Trainer(scene, SMOKE, points=points)
+    most = sum(model.declared_numbers(trainer.design, 3).values())
+    monkeypatch.setattr(model, "MAX_NUMBERS", most)
     assert Trainer(scene, SMOKE, points=points).primitives == 3
-    with pytest.raises(SceneError, match="starting points: 4 anchors declared, .* 3$") as refused:
+    with pytest.raises(SceneError, match=f"points: expected at most {most} numbers") as refused:
         Trainer(scene, SMOKE, points=[*points, [0, 0, 0]])
     assert "\n" not in str(refused.value)
 
