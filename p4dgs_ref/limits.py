@@ -18,3 +18,8 @@ def cut(text):
     """The text without its middle where it is longer than a message may be."""
     half = MAX_MESSAGE // 2
     return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
+
+
+def counted(count, what):
+    """The count and what is counted, which gets an s unless it is one."""
+    return f"{count} {what}{'s' * (count != 1)}"

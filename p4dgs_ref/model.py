@@ -28,6 +28,7 @@ from .equations import (
     step,
     view,
 )
+from .limits import MAX_ANCHORS, MAX_ENTRIES, MAX_NUMBERS
 from .splatting import render
 from .splatting.camera import Camera
 from .splatting.settings import FAST, Settings
@@ -95,6 +96,19 @@ def declared_numbers(design, anchors):
         "grid": sum(T * F for T, F in design.levels()),
         "networks": sum((rows + 1) * columns for rows, columns in layers),
     }
+
+
+def beyond_a_file(design, anchors):
+    """The first limit of `limits` that a model with so many anchors breaks, in words, or ""."""
+    parts = declared_numbers(design, anchors)
+    for what, count, most in (
+        ("anchors", anchors, MAX_ANCHORS),
+        ("entries of the grid", parts["grid"], MAX_ENTRIES),
+        ("numbers", sum(parts.values()), MAX_NUMBERS),
+    ):
+        if count > most:
+            return f"{count} {what} declared, expected at most {most}"
+    return ""
 
 
 class Anchors(NamedTuple):
@@ -292,8 +306,13 @@ class Model:
         """The number of anchors."""
         return len(self.anchors.mask)
 
-    def gaussians(self, t: float, camera: Camera) -> Gaussians:
-        """The Gaussians at time t in [0, 1] for this camera."""
+    def gaussians(self, t: float | None, camera: Camera) -> Gaussians:
+        """The Gaussians at time t in [0, 1] for this camera; None gives the canonical ones.
+
+        Raises ValueError for NaN.
+        """
+        if t is not None and not np.isfinite(t):
+            raise ValueError(f"t: expected a time in [0, 1], got {t}")
         x_c = np.asarray(camera.center, self.anchors.x_a.dtype)
         return predict(self.design, self.networks, self.anchors, x_c, t)[0]
 

@@ -2,7 +2,8 @@
 
 Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
 rename replaces a file in one step, so a reader sees the old file or the whole new one. Where a
-process is killed, its hidden folder stays.
+process is killed, its hidden folder stays. Who writes files into a folder of its own holds the lock
+of that folder, from the check of what is there to the last file.
 
 What a command may replace: a regular file that it does not read. Where the user names the file, it
 is empty or of the kind that is written, which its first bytes tell; in a folder that the user
@@ -13,7 +14,7 @@ or a report of `demo`, is never replaced by another training.
 import errno
 import os
 import shutil
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,6 +26,7 @@ except ImportError:  # Windows: nothing is locked there
     fcntl = None
 
 PART = ".p4dgs-part-"
+SPARE = 6  # file descriptors, more than removing a hidden folder takes
 
 
 class OutputError(ValueError):
@@ -70,21 +72,25 @@ def destination(path):
 def new_part(folder):
     """Yield a hidden folder inside of `folder`, which is removed at the end.
 
-    Where the disk is full, the error names the file in `folder` that was written last.
+    An error of the system names the file in `folder` that was written last. The hidden folder is
+    also removed where the process has no descriptors left, and never hides an earlier error.
     """
-    with deferred():  # a signal while it is made would leave it behind
-        hidden = TemporaryDirectory(prefix=PART, dir=folder)
-    with hidden as name:
-        part = Path(name)
-        try:
-            yield part
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-                name = error.filename2 or error.filename or [part, *files_in(part)][-1]
-                error.filename = os.path.join(
-                    *(place for place in Path(name).parts if not place.startswith(PART))
-                )
-            raise
+    with ExitStack() as spare:
+        for _ in range(SPARE):
+            spare.enter_context(open(os.devnull))
+        with deferred():  # a signal while it is made would leave it behind
+            hidden = TemporaryDirectory(prefix=PART, dir=folder, ignore_cleanup_errors=True)
+        with hidden as name, spare:
+            part = Path(name)
+            try:
+                yield part
+            except OSError as error:
+                if error.errno:  # of the system, such as that the disk is full
+                    name = error.filename2 or error.filename or [part, *files_in(part)][-1]
+                    error.filename = os.path.join(
+                        *(place for place in Path(name).parts if not place.startswith(PART))
+                    )
+                raise
 
 
 def files_in(folder):
@@ -139,18 +145,26 @@ def writable_folder(path):
 def staged_folder(path, reads=None):
     """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
-    After an error nothing is moved. None of them may take the place of the file `reads`.
+    The folder `path` is locked in the meantime, so what is there may be checked first. After an
+    error nothing is moved. None of the files may take the place of the file `reads`. A signal
+    while they move raises KeyboardInterrupt at the end, which says that they are written.
     """
-    with writable_folder(path) as folder, new_part(folder) as part:
+    with writable_folder(path) as folder, locked(folder), new_part(folder) as part:
         yield part
         files = files_in(part)
-        for file in files:
-            with new_file(folder / file.relative_to(part), reads):
-                pass
-        with deferred():  # all files move, or none
+        with ExitStack() as proven:  # takes away folders that it made if not all can be written
             for file in files:
-                with replaced(folder / file.relative_to(part)) as place:
-                    shutil.move(file, place)
+                proven.enter_context(new_file(folder / file.relative_to(part), reads))
+            with deferred(f"; all files are in {folder}"):  # they move, or none does
+                for file in files:
+                    place = folder / file.relative_to(part)
+                    try:
+                        os.replace(file, destination(place))
+                    except OSError as error:
+                        if error.errno != errno.EXDEV:
+                            raise
+                        with replaced(place) as there:  # on another disk, where a link leads
+                            shutil.move(file, there)
 
 
 @contextmanager
@@ -161,7 +175,7 @@ def new_file(path, *reads, start=b""):
     file must be empty or begin with `start`, as the new one does.
     """
     target = destination(path)
-    if target in [Path(os.path.realpath(file)) for file in reads if file is not None]:
+    if target in [Path(os.path.realpath(file)) for file in reads if file]:
         raise OutputError(f"{path}: this is the input; expected another place to write to")
     if target.exists():
         with open(target, "rb") as old:

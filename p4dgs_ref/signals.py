@@ -46,10 +46,10 @@ def handled(handler):
 
 
 @contextmanager
-def deferred():
+def deferred(said=""):
     """Within this context the first signal only fills the yielded list, a second one raises.
 
-    At the end KeyboardInterrupt is raised if there was one.
+    At the end KeyboardInterrupt is raised if there was one; it says what stands then.
     """
     asked = []
 
@@ -61,4 +61,4 @@ def deferred():
     with handled(ask):
         yield asked
     if asked:
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(said)

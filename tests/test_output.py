@@ -1,7 +1,11 @@
 """Outputs: whole files or none, nothing replaced that is no regular file, locks."""
 
+import errno
 import os
+import resource
 import signal
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -111,10 +115,47 @@ def test_a_signal_does_not_part_the_files_of_a_report(tmp_path, monkeypatch, num
 
     monkeypatch.setattr(os, "replace", interrupted)
     before = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match=f"^; all files are in {tmp_path}$"):
         write_folder(tmp_path / "x")
     assert signal.getsignal(number) is before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a first file", "x"]
+
+
+def test_folders_within_are_removed_where_another_file_cannot_be_written(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(OutputError, match="taken: expected a regular file"):
+        with staged_folder(tmp_path) as staging:
+            (staging / "streams").mkdir()
+            (staging / "streams" / "first").write_bytes(b"new")
+            (staging / "taken").write_bytes(b"longer")
+    assert os.listdir(tmp_path) == ["taken"]
+
+
+def test_without_descriptors_nothing_is_left_and_the_first_error_stays(tmp_path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        with pytest.raises(OSError) as caught, staged_folder(tmp_path / "out") as staging:
+            (staging / "train").mkdir()
+            (staging / "train" / "r_000.png").write_bytes(b"finished")
+            os.close(next_one := os.dup(0))
+            resource.setrlimit(resource.RLIMIT_NOFILE, (next_one, hard))
+            open(staging / "metrics.json")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert caught.value.errno == errno.EMFILE and caught.value.filename.endswith("metrics.json")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_to_another_disk_is_written_through(tmp_path):
+    memory = Path("/dev/shm")
+    if not memory.is_dir() or memory.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("needs a second disk")
+    with TemporaryDirectory(dir=memory) as there:
+        (tmp_path / "x").symlink_to(Path(there) / "target")
+        write_folder(tmp_path / "x")
+        assert (Path(there) / "target").read_bytes() == b"new" and (tmp_path / "x").is_symlink()
+        assert os.listdir(there) == ["target"]
+    assert sorted(os.listdir(tmp_path)) == ["a first file", "x"]
 
 
 def refuse_locks(*arguments):
@@ -143,6 +184,8 @@ def test_two_trainings_in_one_folder(tmp_path):
         for resume in (False, True):
             with pytest.raises(OutputError, match="another process is writing to it"):
                 p4.train(SCENE, **short, resume=resume)
+        with pytest.raises(OutputError, match="another process is writing to it"):
+            write_folder(tmp_path / "x")
         assert not list(tmp_path.iterdir())
     first = p4.train(SCENE, **short)
     again = p4.train(SCENE, **short, resume=True)

@@ -80,8 +80,8 @@ lessons.show(figure, "01_offsets_free")
 # $$\{x_0,\dots,x_{k-1}\} = x_a + \{O_0,\dots,O_{k-1}\}\cdot l_a \tag{1}$$
 # Here $x_a$ is the position of the anchor, $l_a$ is a scaling for each axis, and $O_j$ is the
 # learned offset of child $j$, one of $k$ children. The dot multiplies axis by axis. Size, rotation,
-# opacity and colour of the children follow from the feature of the anchor (`02_view` to
-# `04_color_rotation_scale`).
+# opacity and colour of the children follow from the *feature* $f_a$ of the anchor, a row of $d$
+# numbers, and from its *scale* $s_a$ (`02_view` to `04_color_rotation_scale`).
 
 # %% [markdown]
 # ## By hand
@@ -281,40 +281,35 @@ gains.show(
 
 # %% [markdown]
 # ## Exercises
-# Replace each `...` and the `raise` lines below, then run the cell. It compares your functions with
-# *golden vectors*, which are inputs and outputs that come with the project. `lessons.hint("01.2")`
-# prints a hint, and a second call prints another one. The last question of a tutorial has no blank:
-# write down what you expect and why, then test it with a few lines of code. The solutions also
-# answer this question.
+# Replace each `...` below, then run the cell. Later tutorials also have `raise` lines in place of
+# functions, which they compare with *golden vectors*: inputs and outputs that come with the
+# project. `lessons.hint("01.2")` prints a hint, and a second call prints another one. The last
+# question of a tutorial has no blank: write down what you expect and why, then test it with a few
+# lines of code. The solutions also answer this question.
 #
 # **01.1** ● A second child of the anchor in "By hand" has the offset $(0, 4, -0.5)$. Where is it?
 # Give a list of three numbers.
 #
-# **01.2** ● Write Eq. (1) for arrays.
+# **01.2** ● The file rounds every offset, by at most $0.1$. How far can that move the child of "By
+# hand" along each axis? And how far if $l_a$ is doubled and all offsets are halved, which leaves
+# every child in its place? Give a list of two lists of three numbers.
 #
-# **01.3** ●● Write its backward. The dictionary `cotangents` holds the cotangents of the outputs,
-# here `x_bar` for the output `x`.
+# **01.3** ●● Four children of an anchor have the offsets $2, -1, -1, 0$ along x, where $l = 0.5$,
+# and the cotangents $1, 1, -2, 0$. Does descent move the anchor, and does it pull the children
+# together or apart? Give $\bar x_a$, $\bar l$ and the gradient of $\log l$, which Scaffold-GS
+# trains.
 #
 # **Predict, then run.** A port keeps all numbers in float16. An anchor is at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?
 
 # %%
 answer_1 = ...
-
-
-def my_forward(x_a, O_a, l_a):
-    """Return x [A, k, 3] for x_a [A, 3], O_a [A, k, 3] and l_a [A, 3]."""
-    raise NotImplementedError
-
-
-def my_backward(inputs, cotangents):
-    """Return the gradients {"x_a", "O_a", "l_a"}, given cotangents["x_bar"] [A, k, 3]."""
-    raise NotImplementedError
-
+answer_2 = ...
+answer_3 = ...
 
 lessons.check_number("01.1", answer_1)
-lessons.check_forward("01.2", my_forward, "offsets")
-lessons.check_backward("01.3", my_backward, "offsets")
+lessons.check_number("01.2", answer_2)
+lessons.check_number("01.3", answer_3)
 
 # %% [markdown]
 # ## Check your port

@@ -316,12 +316,11 @@ print(f"{signs_of_hac} signs take {signs_of_hac / 8 / 2**20:.2f} MiB")
 # %% [markdown]
 # ## What this idea buys
 # In the ablation, "one guess for all" has a grid of a single node: each number has one mean, one
-# deviation and one step for all anchors. With the context, the anchors take 4,569
-# bytes instead of 5,126. But the grid and its networks take as much again, and the whole file is
-# as large as before, at a PSNR that differs by less than the seeds do: here the context buys
-# nothing. In the paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it
-# serves some hundred times as many anchors with the same kind of networks. The paper does not say
-# how large the file would be without it.
+# deviation and one step for all anchors. With the context, the anchors take 4,569 bytes instead of
+# 5,126. But its grid and wider networks take 541 bytes more, so the whole file is as large as
+# before, at a PSNR that differs by less than the seeds do: here the context buys nothing. In the
+# paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it serves some
+# hundred times as many anchors. The paper does not say how large the file would be without it.
 
 # %%
 from tutorials import gains
@@ -354,7 +353,7 @@ gains.show(
 
 # %% [markdown]
 # ## Exercises
-# # **09.1** ● With the parameters of the section "By hand", what does an anchor at $(0.75, 0.25)$
+# **09.1** ● With the parameters of the section "By hand", what does an anchor at $(0.75, 0.25)$
 # read?
 #
 # **09.2** ●● Write the row of a corner: dense if the $n^D$ nodes fit into the table, otherwise

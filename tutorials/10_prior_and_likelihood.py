@@ -356,10 +356,10 @@ gains.show("10_prior_and_likelihood", rows, paper)
 
 # %% [markdown]
 # ## Exercises
-# # **10.1** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
+# **10.1** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
 # below, as an array of the same length. Here $|z|$ lies between $1$ and $40$, and $w = 1$. The
-# formula with `erfcx` works for all of them if you use $|z|$. So does `scipy.special.log_ndtr`,
-# which is $\log\Phi$ with all its digits.
+# formula with `erfcx` of *For ports* works for all of them if you use $|z|$. So does
+# `scipy.special.log_ndtr`, which is $\log\Phi$ with all its digits.
 #
 # **10.2** ●● A port keeps the tables of its coder short with a floor under Eq. (12): it takes
 # $\sigma = \max(e^{r}, q/4)$, where $r$ is the output of $\psi_p$. What changes in the gradient?

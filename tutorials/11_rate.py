@@ -143,7 +143,7 @@ assert after / n_parameters < before / n_parameters
 # sum, and a masked one receives 0. With $n$ parameters, with $\overline{bits}$ for the cotangent of
 # the sum before dividing, and with a mask $m$ that is 1 for everything but masked offsets,
 # $$\bar R_{\rm anchor} = \bar R_{\rm hash}
-# = \frac{\bar{\mathcal L}_{\rm rate}}{n} + \overline{bits}, \qquad
+# = \frac{\bar{\mathcal{L}}_{\rm rate}}{n} + \overline{bits}, \qquad
 # \bar b_{aj} = m_{aj}\,\bar R_{\rm anchor}.$$
 
 # %%
@@ -324,7 +324,10 @@ gains.show("11_rate", rows, paper, "curve")
 
 # %% [markdown]
 # ## Exercises
-# **11.1** ●● Write the backward of Eq. (13).
+# **11.1** ●● A hundred anchors have $d = 4$ and $k = 5$, each of their numbers costs 3 bits, and
+# $R_{hash} = 0$. Then one child of each anchor is masked. Give $\mathcal{L}_{rate}$ before and
+# after, and its slope in the bits of one number that stays, before and after: a list of four
+# numbers.
 #
 # **11.2** ●● Write the backward of Eq. (14). All levels have the same slope, which depends on the
 # signs of all levels.
@@ -338,15 +341,8 @@ gains.show("11_rate", rows, paper, "curve")
 # $R_{hash}$, and what to its gradient?
 
 # %%
+answer_1 = ...
 answer_3 = ...
-
-
-def my_anchor_backward(inputs, cotangents):
-    """Return the gradients {"bits_f", "bits_s", "bits_l", "bits_O"} in the shapes of these inputs.
-
-    inputs["mask"] has the shape [A, k], and cotangents["R_anchor_bar"] is a number.
-    """
-    raise NotImplementedError
 
 
 def my_hash_backward(inputs, cotangents):
@@ -357,7 +353,7 @@ def my_hash_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_backward("11.1", my_anchor_backward, "anchor_rate")
+lessons.check_number("11.1", answer_1)
 lessons.check_backward("11.2", my_hash_backward, "hash_rate")
 lessons.check_number("11.3", answer_3)
 

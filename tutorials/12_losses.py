@@ -138,7 +138,7 @@ lessons.show(figure, "12_losses_rate")
 # %% [markdown]
 # ## The loss of a picture
 # Absolute differences alone treat a blurred edge like a change of brightness. In the picture,
-# training therefore weighs them against structure:
+# training therefore weighs them against structure, with the weight $\lambda_{SSIM}$:
 # $$\mathcal{L}_{render} = (1-\lambda_{SSIM})\,\mathcal{L}_1
 # + \lambda_{SSIM}\,\mathcal{L}_{D-SSIM} \tag{16}$$
 # With $x$ for the rendered image and $y$ for the true one, $\mathcal{L}_1$ is the mean of $|x - y|$

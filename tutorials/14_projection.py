@@ -26,14 +26,15 @@ h = 1e-6
 # ## Claim
 # A camera with the focal lengths $f_x, f_y$ and the centre $c_x, c_y$, in pixels, projects a mean
 # to a pixel $\mu$ and a covariance $\Sigma$ to a covariance of pixels. In the coordinates of the
-# camera, the mean is $x_c = W x_{world} + T = (x, y, z)$. (In Eq. (2), $x_c$ is the position of the
-# camera.) Then
+# camera, the mean is $(x, y, z) = W x_{world} + T$ with the camera's rotation $W$ and translation
+# $T$. Then
 # $$\mu = \Bigl(f_x \tfrac{x}{z} + c_x,\; f_y \tfrac{y}{z} + c_y\Bigr),\quad
 #   \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I,\quad K = \Sigma_{2D}^{-1}.$$
 # $K$ is the *conic*, which `15_compositing` evaluates at every pixel. $J$ is the slope of $\mu$ in
 # $(x, y, z)$, except for a clamp:
-# $$J = \begin{pmatrix} f_x/z & 0 & -f_x u/z \\ 0 & f_y/z & -f_y v/z \end{pmatrix},\quad
-#   u = \mathrm{clip}(x/z, \pm 1.3\,width/2f_x),\; v = \mathrm{clip}(y/z, \pm 1.3\,height/2f_y)$$
+# $$J = \begin{pmatrix} f_x/z & 0 & -f_x \xi/z \\ 0 & f_y/z & -f_y \eta/z \end{pmatrix},\quad
+#   \xi = \mathrm{clip}(x/z, \pm 1.3\,width/2f_x),\quad
+#   \eta = \mathrm{clip}(y/z, \pm 1.3\,height/2f_y)$$
 # The paper prints none of this, because it belongs to Gaussian splatting. The section "In code"
 # explains the clamp and the $0.3$. If you have not looked at `p4dgs_ref/splatting/loop.py` yet, do
 # it now: it shows in a few lines what the renderer does with $\mu$ and $K$.
@@ -195,7 +196,7 @@ assert close(conic, three_numbers(K), 1e-10)
 # one whose $\det\Sigma_{2D}$ is not positive or not finite. A culled row consists of zeros and
 # receives no gradient. Second, the blur of 0.3 square pixels keeps the standard deviations above
 # 0.54 pixels, so that no Gaussian falls between the pixels. Third, the clamp applies at 1.3 times
-# half the width of the image. Without it, $-f_x u/z$ would grow without bound to the side, and
+# half the width of the image. Without it, $-f_x \xi/z$ would grow without bound to the side, and
 # Gaussians beside the image would be smeared into it.
 
 # %%
@@ -427,11 +428,11 @@ assert close(bars_of_factors["s"], bars_of_s["s"], 1e-8)
 assert close(bars_of_factors["r"], bars_of_s["r"], 1e-8)
 
 # %% [markdown]
-# **From $JW$ to $u_1 = u$, $u_2 = v$ and $z$.** With $W_i$ for the rows of $W$, row $i$ of $m$ is
-# $\frac{f_i}{z}(W_i - u_i W_3)$. So
-# $$\bar u_i = -\frac{f_i}{z}\,\bar m_i\cdot W_3,\qquad
+# **From $JW$ to $\xi_1 = \xi$, $\xi_2 = \eta$ and $z$.** With $W_i$ for the rows of $W$, row $i$ of
+# $m$ is $\frac{f_i}{z}(W_i - \xi_i W_3)$. So
+# $$\bar\xi_i = -\frac{f_i}{z}\,\bar m_i\cdot W_3,\qquad
 #   \bar z = -\frac1z\sum_{ij}\bar m_{ij}\,m_{ij}.$$
-# **Clamp.** $\bar u$ is passed on where $|x/z|$ is within the limit. Beyond the limit, $u$ is a
+# **Clamp.** $\bar\xi$ is passed on where $|x/z|$ is within the limit. Beyond the limit, $\xi$ is a
 # constant and its gradient is lost.
 
 # %%
@@ -467,7 +468,7 @@ _ = lessons.adjoint(rng, partial(projection.forward, **camera), inputs, bars, ou
 
 # %% [markdown]
 # What do these gradients mean in space? A cotangent of the *mean* moves a Gaussian perpendicular to
-# its ray, because moving along the ray does not change the pixel: $\bar x_c\cdot x_c = 0$. A
+# its ray, because moving along the ray does not change the pixel. A
 # cotangent that asks for a larger *size* moves it towards the camera.
 
 # %%
@@ -649,8 +650,8 @@ lessons.check_backward("14.3", my_backward, "projection")
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only projection` compares what a port wrote. Besides the entry
-# beside the diagonal, the usual mistake is the slope of the clamp in $z$. Beyond the clamp $u$ is a
-# constant, so the third column of $J$ depends on $z$ as $1/z$, no longer as $1/z^2$.
+# beside the diagonal, the usual mistake is the slope of the clamp in $z$. Beyond the clamp $\xi$ is
+# a constant, so the third column of $J$ depends on $z$ as $1/z$, no longer as $1/z^2$.
 
 # %%
 lessons.passes("projection")

@@ -33,9 +33,10 @@ def inner(a, b):
 # $$\alpha_i(p) = \min\bigl(0.99,\ \alpha_i\,e^{-\frac12 (p-\mu_i)^T K_i (p-\mu_i)}\bigr).$$
 # $T_i$ is the *transmittance* in front of splat $i$, the share of light that the splats in front of
 # it let through. The product $\alpha_i T_i$ is the splat's *weight*. $K_i$ is the conic of
-# `14_projection`, $\alpha_i$ the opacity of Eq. (3), and $N$ the number of splats. The limit of
-# $0.99$ guarantees that every splat lets some light through. The paper does not print this sum,
-# because the sum comes unchanged from 3D Gaussian splatting.
+# `14_projection`, $\alpha_i$ the opacity of Eq. (3), and $N$ the number of splats; $T_N$ is the
+# light that is left for the background. The limit of $0.99$ guarantees that every splat lets some
+# light through. The paper does not print this sum, because the sum comes unchanged from 3D Gaussian
+# splatting.
 
 # %% [markdown]
 # ## By hand

@@ -385,7 +385,7 @@ def single_conic(**inputs):
     return mean2d, cov2d, conic, depth, visible & positive
 
 
-report = oracle.check(single_conic, "projection", strict=True)
+report = oracle.check(single_conic, "projection", strict=True, dtype="float32")
 verdicts = {}
 for result in report.results:
     verdicts.setdefault(result.verdict, set()).add(result.id.split("/")[1])

@@ -71,14 +71,22 @@ def show(arguments, value, text):
     print_result(json.dumps(value, indent=1) if arguments.json else text)
 
 
-def ask(arguments, what, seconds):
-    """Say how long trainings take, and go on only if the user wants it; --yes does."""
+def ask(arguments, what, seconds, free=0):
+    """Say how long trainings take, and go on only if the user wants it; --yes does.
+
+    Those that take less than `free` seconds are not asked about, those of a minute not told of.
+    """
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    expected = "where there is no terminal to ask on"
-    require(arguments.yes or is_seen, "--yes", f"expected for {estimate}, {expected}")
-    print_message(estimate)
-    if not arguments.yes:
+    wanted = arguments.yes or seconds < free
+    require(
+        wanted or is_seen,
+        "--yes",
+        f"expected for {estimate}, where there is no terminal to ask on",
+    )
+    if seconds > 60 or not wanted:
+        print_message(estimate)
+    if not wanted:
         write_stderr("go on? [y/N] ")
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise KeyboardInterrupt

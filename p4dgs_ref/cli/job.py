@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,18 +11,33 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..output import new_file, staged_folder, writable_folder, write_atomically
+from ..limits import counted
+from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
 from ..report.evaluate import compression, json_safe, timed
 from ..scenes.files import write_image
-from ..scenes.load import find_scene, read_points_for, read_scene_json
+from ..scenes.load import read_points_for, read_scene_json
+from ..scenes.scene import size_of
 from ..training import advice
-from ..training.fit import CHECKPOINT, fit, load_model
+from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
 from ..training.presets import choose
-from ..training.trainer import Trainer
-from . import UsageError, ask, print_result, print_warning, progress, require, show, text
+from . import (
+    UsageError,
+    ask,
+    print_message,
+    print_result,
+    print_warning,
+    progress,
+    require,
+    show,
+    text,
+)
+
+SECONDS = 6e-3, 5e-6, 2e-6  # of a step on a slow core; for each child of an anchor, each pixel
+HOUR = 3600  # a longer training is asked about
+HELD = "azimuth elevation distance size frames".split()  # options of the camera of `render`
 
 
 def read_preset(name, changes=()):
@@ -46,21 +62,32 @@ def read_file(path):
         raise UsageError(f"{path}: {error}") from None
 
 
-def estimate(arguments, trainer):
-    """Time the first steps of a long training, and go on only if the user wants it."""
-    iterations = trainer.preset.iterations
-    if iterations <= 10_000 and trainer.primitives <= 2000:
-        return
-    # The median of three leaves out what only the first one does.
-    seconds = np.median([timed(trainer.step)[1] for _ in range(min(3, iterations))])
-    ask(arguments, f"{iterations} iterations, later ones slower", seconds * iterations)
+def load(arguments):
+    """The scene of a command; while it is read, a line now and then says how far."""
+    due = time.monotonic() + 2
+
+    def report(done, total):
+        nonlocal due
+        if time.monotonic() > due:
+            print_message(f"{arguments.scene}: {done} of {total} pictures are read")
+            due += 10
+
+    return p4.load_scene(arguments.scene, downscale=arguments.downscale, progress=report)
+
+
+def estimate(arguments, scene, preset):
+    """Say about how long a training takes; one of more than an hour starts only if it is wanted."""
+    anchors = preset.anchors if scene.points is None else len(scene.points)
+    image = scene.train[0].image
+    step = np.dot(SECONDS, (1, anchors * preset.k, image[..., 0].size))
+    what = f"{preset.iterations} iterations on pictures of {size_of(image)}"
+    ask(arguments, what, step * preset.iterations, HOUR)
 
 
 def demo(arguments):
     """Run the main job and write its report."""
-    preset = read_preset(arguments.preset, arguments.changes)
-    scene = p4.load_scene(arguments.scene)
-    estimate(arguments, Trainer(scene, preset))
+    preset, scene = read_preset(arguments.preset, arguments.changes), load(arguments)
+    estimate(arguments, scene, preset)
     metrics = p4.main_job(
         scene,
         preset,
@@ -69,7 +96,7 @@ def demo(arguments):
         arguments.start,
         None if arguments.quiet else sys.stderr,
     )
-    show(arguments, json_safe(metrics), text.metrics(metrics, arguments.output))
+    print_result(text.metrics(metrics, arguments.output))
 
 
 def simulate(arguments):
@@ -81,16 +108,17 @@ def simulate(arguments):
 def train(arguments):
     """Fit a scene into a run folder."""
     preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
-    scene = p4.load_scene(arguments.scene, downscale=arguments.downscale)
+    scene = load(arguments)
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        estimate(arguments, Trainer(scene, preset))
-    if not resume and "effects" not in read_scene_json(find_scene(arguments.scene)):
-        print_warning(
-            "no scene.json lists effects, so all are trained; "
-            f"`p4dgs-ref effects {arguments.scene} --suggest --apply` finds and lists them"
-        )
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
+        estimate(arguments, scene, preset)
+        if "effects" not in read_scene_json(scene.source):
+            print_warning(
+                f"no scene.json lists effects: all are trained; `p4dgs-ref effects {scene.source}"
+                f" --suggest --apply --downscale {arguments.downscale}` finds and lists them"
+            )
     for sentence in advice.before(scene, preset, arguments.seed):
         print_warning(sentence)
     with writable_folder(arguments.output) as folder:
@@ -105,7 +133,9 @@ def train(arguments):
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
     print_warning(advice.after(trainer))
-    print_result(f"{folder}: {trainer.iteration} iterations, {len(trainer.mask)} anchors")
+    print_result(
+        f"{folder}: {trainer.iteration} iterations, {counted(len(trainer.mask), 'anchor')}"
+    )
 
 
 def encode(arguments):
@@ -143,27 +173,29 @@ def decode(arguments):
 
 def render(arguments):
     """Draw pictures of a file into a folder that has none; of a held camera also as a GIF."""
-    output, settings = Path(arguments.output), p4.SETTINGS[arguments.settings]
-    require(
-        not any(output.glob("[!.]*")),
-        output,
-        "has files already; expected a new or an empty folder, so that all pictures are of one run",
-    )
+    output, scene = Path(arguments.output), arguments.scene
+    held = {name: value for name in HELD if (value := getattr(arguments, name)) is not None}
+    require(not (scene and held), f"--{', --'.join(held)}", "expected without --scene")
+    require(scene or arguments.downscale == 1, "--downscale", "expected together with --scene")
     _, model, _ = read_file(arguments.file)
-    if arguments.scene:
-        views = [
-            (f"view_{i:03d}", v.camera, v.time)
-            for i, v in enumerate(p4.load_scene(arguments.scene).test)
-        ]
+    if scene:
+        kind, views = "view", [(view.camera, view.time) for view in load(arguments).test]
     else:
-        held = arguments.azimuth, arguments.elevation, arguments.distance, arguments.size
-        camera, times = figures.held_camera(model, *held), np.linspace(0, 1, arguments.frames)
-        views = [(f"t_{i:03d}", camera, t) for i, t in enumerate(times)]
+        times = np.linspace(0, 1, held.pop("frames", 24))
+        camera = figures.held_camera(model, **held)
+        kind, views = "t", [(camera, t) for t in times]
     with staged_folder(output) as staging:
-        images = [np.clip(model.render(camera, t, settings), 0, 1) for _, camera, t in views]
-        for (name, *_), image in zip(views, images):
-            write_image(staging / f"{name}.png", (image * 255).round().astype(np.uint8))
-        if not arguments.scene:
+        require(
+            not any(output.glob("[!.]*")),
+            output,
+            "has files already; expected a new or an empty folder, so that all pictures are of one "
+            "run",
+        )
+        images = [np.clip(model.render(*view), 0, 1) for view in views]
+        for i, image in enumerate(images):
+            pixels = (image * 255).round().astype(np.uint8)
+            write_image(staging / f"{kind}_{i:03d}.png", pixels)
+        if not scene:
             (staging / "motion.gif").write_bytes(figures.gif_of(images))
     print_result(f"{output}: {len(images)} images")
 
@@ -181,7 +213,7 @@ def view(arguments):
 def evaluate(arguments):
     """Score a file on the test views of a scene."""
     data, model, seconds = read_file(arguments.file)
-    scene = p4.load_scene(arguments.scene)
+    scene = load(arguments)
     metrics, rows, images = p4.evaluate(model, scene)
     metrics = {
         "scene": scene.name,
@@ -203,10 +235,6 @@ def inspect(arguments):
     """List the sections of a file."""
     data, _, _ = read_file(arguments.file)
     rows, gaps = sizes.ledger(data), sizes.GAPS
-    if arguments.output:
-        with staged_folder(arguments.output, arguments.file) as staging:
-            figures.write_csv(staging / "sections.csv", rows)
-            figures.draw_ledger(staging / "sections.png", rows)
     show(arguments, {"bytes": len(data), "sections": rows, "gaps": gaps}, text.ledger(rows, gaps))
 
 

@@ -6,10 +6,11 @@ Each imports the part of the laboratory that it needs.
 import os
 from contextlib import nullcontext
 
-from ..output import staged_folder
+from ..output import new_file, staged_folder
 from ..report.figures import write_csv
-from ..scenes.load import find_scene, list_effects, load_scene, packaged_folder
+from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require, show
+from .job import load
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
 
@@ -29,8 +30,7 @@ def accuracy(arguments):
         rows = study.measure(trained, progress)
         write_csv(staging / "accuracy.csv", rows)
         picture.draw(staging / "accuracy.png", rows)
-    text = f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png"
-    show(arguments, {"rows": rows, "disturbed": study.disturbed(rows)}, text)
+    print_result(f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png")
 
 
 def hard_cases(arguments):
@@ -52,7 +52,7 @@ def effects(arguments):
     require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
     if arguments.suggest:
         return suggest_effects(arguments)
-    scene = load_scene(arguments.scene)
+    scene = load(arguments)
     with staged_folder(arguments.output) as staging:
         ledger = effect_ledger.of_scene(scene)
         if arguments.gain:
@@ -68,14 +68,18 @@ def effects(arguments):
 
 def suggest_effects(arguments):
     """Say which effects the pictures call for; with --apply write the list to scene.json."""
-    from ..lab.suggest import seconds_of, suggest
+    from ..lab.suggest import list_effects, seconds_of, suggest
 
-    scene, folder = load_scene(arguments.scene), find_scene(arguments.scene)
-    require(
-        not arguments.apply or packaged_folder() not in folder.resolve().parents,
-        "--apply",
-        f"{folder} is a packaged scene; expected a folder of yours",
-    )
+    scene = load(arguments)
+    folder = scene.source
+    if arguments.apply:
+        require(
+            packaged_folder() not in folder.resolve().parents,
+            "--apply",
+            f"{folder} is a packaged scene; expected a folder of yours",
+        )
+        with new_file(folder / "scene.json"):  # before the work, whose answer would be lost
+            pass
     ask(arguments, "short trainings", seconds_of(scene, JOBS))
     rows = suggest(scene, progress, JOBS)
     lines = [f"{row['effect']:<14} {row['verdict']:<12} {row['evidence']}" for row in rows]

@@ -46,9 +46,12 @@ def bounded(kind, low, high=1e18):
 
 
 def given(text):
-    """A text as it is, unless it is empty: as a path, it would stand for the current folder."""
-    if not text:
-        raise argparse.ArgumentTypeError("expected a text, got ''")
+    """A text as it is, unless it is empty: as a path, it would stand for the current folder.
+
+    No path contains NUL.
+    """
+    if not text or "\0" in text:
+        raise argparse.ArgumentTypeError(f"expected a text without NUL, got {text!r}")
     return text
 
 
@@ -77,8 +80,15 @@ JSON = switch("--json", "print JSON instead of text")
 YES = switch("--yes", "begin long trainings without being asked")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
-SCENE_HELP = "a D-NeRF, HyperNeRF or NeRF-DS folder, or the name of a packaged scene"
+SCENE_HELP = "a folder of pictures with cameras, or the name of a packaged scene"
 SCENE = option("scene", help=SCENE_HELP)
+DOWNSCALE = option(
+    "--downscale",
+    type=bounded(int, 1),
+    default=1,
+    metavar="N",
+    help="divide both sides of the scene's pictures by this (1)",
+)
 SETTINGS = (
     option("--preset", default="tiny", metavar="NAME", help="of `presets` (tiny)"),
     option("--seed", type=bounded(int, 0), default=0, metavar="N", help="of everything random (0)"),
@@ -132,7 +142,7 @@ GROUPS = {
             "all of it: fit a scene, compress, decode, render, measure, draw",
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
-                JSON,
+                DOWNSCALE,
                 *SETTINGS,
                 output("folder of the report (report)", default="report"),
             ),
@@ -142,13 +152,7 @@ GROUPS = {
             "fit a scene",
             (
                 SCENE,
-                option(
-                    "--downscale",
-                    type=bounded(int, 1),
-                    default=1,
-                    metavar="N",
-                    help="divide both sides of the training views by this (1)",
-                ),
+                DOWNSCALE,
                 *SETTINGS,
                 option(
                     "--points",
@@ -173,56 +177,41 @@ GROUPS = {
             "job.render",
             "draw a file over time, from a held camera or from the test views of a scene",
             (
-                option("file", help="a .p4dgs file"),
+                FILE,
                 output("new folder to write to", required=True),
                 option(
                     "--azimuth",
                     type=bounded(float, -360, 360),
-                    default=40.0,
-                    metavar="A",
                     help="degrees about z (40)",
                 ),
                 option(
                     "--elevation",
                     type=bounded(float, -89, 89),
-                    default=30.0,
-                    metavar="A",
                     help="degrees (30)",
                 ),
                 option(
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
-                    default=3.6,
-                    metavar="D",
                     help="from the middle of the anchors (3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
                     type=bounded(int, 1, 4096),
-                    default=128,
-                    metavar="N",
                     help="pixels along a side (128)",
                 ),
                 option(
                     "--frames",
                     type=bounded(int, 1, 10_000),
-                    default=24,
-                    metavar="N",
                     help="times in 0 ... 1 (24)",
                 ),
-                option("--scene", help="use the cameras and times of this scene instead"),
-                option(
-                    "--settings",
-                    choices=("exact", "kernel", "fast"),
-                    default="fast",
-                    help="of the renderer (fast)",
-                ),
+                option("--scene", help="use the test cameras and times of this scene instead"),
+                DOWNSCALE,
             ),
         ),
         "evaluate": (
             "job.evaluate",
             "score a file on the test views of a scene",
-            (FILE, SCENE, JSON, output("folder for the comparison's picture and table")),
+            (FILE, SCENE, DOWNSCALE, JSON, output("folder for the comparison's picture and table")),
         ),
     },
     "Files, for those who draw a scene or look into a file": {
@@ -234,11 +223,7 @@ GROUPS = {
         "inspect": (
             "job.inspect",
             "list the bytes of a file, section by section, beside their entropy",
-            (
-                FILE,
-                JSON,
-                output("folder for the table and the picture"),
-            ),
+            (FILE, JSON),
         ),
         "view": (
             "job.view",
@@ -262,7 +247,6 @@ GROUPS = {
             "lab.accuracy",
             "what accuracy costs in time: renderers, precision, Eq. (11), noise, iterations",
             (
-                JSON,
                 switch("--train", "train anew for the panel of iterations, instead of its record"),
                 YES,
                 output("folder of accuracy.png and accuracy.csv (report)", default="report"),
@@ -282,6 +266,7 @@ GROUPS = {
             "what each effect of a scene costs, and that the others cost nothing",
             (
                 SCENE,
+                DOWNSCALE,
                 JSON,
                 switch("--gain", "also train with and without each effect: what it gains"),
                 switch("--suggest", "only say which effects the pictures call for, and why"),
@@ -398,16 +383,14 @@ def run(argv, start):
             with deferred():  # not in the middle of an import
                 function = getattr(import_module(f".{module}", __package__), name)
             return function(arguments) or 0
-        except KeyboardInterrupt:
-            code, message = 130, f"stopped{STOPPED.get(arguments.command, '')}"
-        except (ArithmeticError, MemoryError) as error:
+        except KeyboardInterrupt as stop:
+            code, message = 130, f"stopped{str(stop) or STOPPED.get(arguments.command, '')}"
+        except (ArithmeticError, MemoryError, ChildProcessError) as error:
             code, message = 1, str(error) or "out of memory"
         except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
             if not str(error.name).startswith("p4dgs_ref."):
                 raise
             code, message = 2, f"{arguments.command}: {error.name} is not in this installation"
-        except ChildProcessError as error:
-            code, message = 1, f"{error}{STOPPED.get(arguments.command, '')}"
         except OSError as error:
             code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
         except ValueError as error:

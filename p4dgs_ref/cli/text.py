@@ -1,12 +1,13 @@
 """What the commands print for people; --json prints the same values."""
 
+from ..limits import counted
 from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
 def quality(m):
     """PSNR, also of the object alone where the scene has an alpha, and SSIM."""
     foreground = "" if m["psnr_fg_db"] is None else f" (object {m['psnr_fg_db']:.2f} dB)"
-    return f"PSNR {m['psnr_db']:.2f} dB{foreground}, SSIM {m['ssim']:.4f}"
+    return f"PSNR {m['psnr_db']:.2f} dB at {m['size']}{foreground}, SSIM {m['ssim']:.4f}"
 
 
 def size(m):
@@ -27,8 +28,9 @@ def metrics(m, folder):
     """The metrics of the main job in a few lines."""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
-        f"{m['anchors']} anchors, {m['gaussians']} Gaussians\n"
+        f"{counted(m['anchors'], 'anchor')}, {counted(m['gaussians'], 'Gaussian')}\n"
         f"  decoded file on the test views: {quality(m)}\n"
+        f"  and on the training views: PSNR {m['train_psnr_db']:.2f} dB at {m['size']}\n"
         f"  {size(m)}\n"
         f"  train {m['train_seconds']:.1f} s ({m['ms_per_step']:.1f} ms per step), "
         f"encode {m['encode_seconds']:.3f} s, {times(m)}, total {m['seconds']:.1f} s\n"

@@ -51,11 +51,10 @@ from ..limits import (
     MAX_ENTRIES,
     MAX_HEADER_BYTES,
     MAX_LAYERS,
-    MAX_NUMBERS,
     MAX_OF,
     MAX_WIDTH,
 )
-from ..model import CONTEXT_NETWORKS, Design, declared_numbers
+from ..model import CONTEXT_NETWORKS, Design, beyond_a_file, declared_numbers
 from ..scenes.scene import MODEL_EFFECTS
 from .container import require
 
@@ -113,15 +112,8 @@ def read_fields(fields):
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
     design = Design(**values)
-    parts = declared_numbers(design, anchors)
-    require_header(
-        parts["grid"] <= MAX_ENTRIES,
-        f"field 'grid': {parts['grid']} entries declared, expected at most {MAX_ENTRIES}",
-    )
-    require_header(
-        sum(parts.values()) <= MAX_NUMBERS,
-        f"{sum(parts.values())} numbers declared {parts}, expected at most {MAX_NUMBERS}",
-    )
+    excess = beyond_a_file(design, anchors)
+    require_header(not excess, excess)
     return design, anchors, background
 
 

@@ -16,13 +16,12 @@ def forward(
     image,  # [H, W, C]  rendered image, intensities of range 1
     truth,  # [H, W, C]  true image
     lambda_ssim,  # []  weight of D_SSIM
-    truth_moments=None,  # `ssim.moments(truth)`, which is constant for each view
 ):
     """Return L_render, L1 and D_SSIM [] and what `backward` needs."""
     difference = image - truth
     precision = image.dtype.type
     L1 = precision(np.abs(difference).mean(dtype=np.float64))
-    D_SSIM, saved_ssim = ssim.dissimilarity(image, truth, truth_moments)
+    D_SSIM, saved_ssim = ssim.dissimilarity(image, truth)
     D_SSIM = precision(D_SSIM)
     L_render = precision(1 - lambda_ssim) * L1 + precision(lambda_ssim) * D_SSIM
     return (L_render, L1, D_SSIM), (np.sign(difference), lambda_ssim, saved_ssim)

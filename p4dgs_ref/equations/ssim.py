@@ -26,10 +26,9 @@ C1, C2 = 0.01**2, 0.03**2
 def forward(
     image,  # [H, W, C]  image to judge, intensities of range 1
     truth,  # [H, W, C]  image to compare with
-    truth_moments=None,  # `moments(truth)`, if the caller has kept them
 ):
     """Return ssim [], which is 1 for identical images, and what `backward` needs."""
-    D_SSIM, saved = dissimilarity(image, truth, truth_moments)
+    D_SSIM, saved = dissimilarity(image, truth)
     return image.dtype.type(1 - D_SSIM), saved
 
 
@@ -54,9 +53,9 @@ def backward(saved, ssim_bar):
     return {"image": image_bar.transpose(0, 2, 1).astype(dtype, order="C")}
 
 
-def dissimilarity(image, truth, truth_moments=None):
+def dissimilarity(image, truth):
     """Return 1 - SSIM in float64 and what `backward` needs."""
-    y, mu_y, var_y = moments(truth) if truth_moments is None else truth_moments
+    y, mu_y, var_y = moments(truth)
     x = to_rows(image)
     e = x - y
     mu_e, square_e, square_x = blur(np.stack([e, e * e, x * x], axis=1)).swapaxes(0, 1)

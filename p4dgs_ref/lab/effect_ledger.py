@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import effects as fx
 from ..model import declared_numbers
-from ..report.figures import BLUE, held_camera, save_figure, styled, subplots
+from ..report.figures import BLUE, save_figure, styled, subplots
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting import render
 from ..splatting.settings import FAST
@@ -51,7 +51,7 @@ def counted():
     work = Work(Counter(), Counter())
 
     def count(event, mark, frame, value):
-        if event == "return":
+        if event == "return" and value is not None:  # None: the call was interrupted
             work.calls[mark] += 1
             if mark[1] == "forward":
                 work.multiply_adds.update(multiply_adds(mark[0], value[1]))
@@ -120,29 +120,16 @@ def of_scene(scene):
     if_bytes: what it would cost.
     """
     frames = [(view.camera, view.time) for view in scene.test]
-    result = ledger(Trainer(scene, TINY).model(), frames)
-    for row in (row for row in result["effects"] if not row["listed"]):
+    found, called = costs(Trainer(scene, TINY).model(), frames)
+    rows = [
+        {"effect": effect, "listed": effect in scene.effects, **found[effect]}
+        for effect in MODEL_EFFECTS
+    ]
+    for row in (row for row in rows if not row["listed"]):
         with_it = Trainer(switched(scene, row["effect"]), TINY).model()
         cost = costs(with_it, frames)[0][row["effect"]]
         row |= {f"if_{kind}": amount for kind, amount in cost.items()}
-    return result
-
-
-def of_model(model):
-    """The ledger of a model, as a camera at rest sees it in the course of time."""
-    return ledger(model, [(held_camera(model, size=64), t) for t in np.linspace(0, 1, 9)])
-
-
-def ledger(model, frames):
-    """The ledger of a model without what other effects would cost."""
-    found, called = costs(model, frames)
-    return {
-        "effects": [
-            {"effect": effect, "listed": effect in model.design.effects, **found[effect]}
-            for effect in MODEL_EFFECTS
-        ],
-        "never_called": [key for key in CALLED_FOR if key not in called],
-    }
+    return {"effects": rows, "never_called": [key for key in CALLED_FOR if key not in called]}
 
 
 # --- what an effect gains -------------------------------------------------------------------------

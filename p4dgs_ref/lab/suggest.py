@@ -10,11 +10,14 @@ An effect that the pictures cannot decide is kept: a model with an effect too ma
 model with an effect too few is wrong.
 """
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from .. import effects as fx
+from ..output import write_atomically
+from ..scenes.load import DESCRIPTION, read_scene_json
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting.camera import Camera
 from ..training.presets import TINY
@@ -193,3 +196,15 @@ def background(views, color):
     needed = np.any(shares) and np.any(color)  # black needs no term
     evidence = f"{100 * np.mean(shares):.0f} % of the pixels show it, in the colour {color}"
     return "yes" if needed else "no", evidence
+
+
+def list_effects(folder, effects):
+    """Write a scene's list of effects to its scene.json and return that file.
+
+    Everything else in the file stays, and so do effects of the simulator alone.
+    """
+    file, description = folder / DESCRIPTION, read_scene_json(folder)
+    drawn = [name for name in description.get("effects") or () if name not in MODEL_EFFECTS]
+    text = json.dumps({**description, "effects": [*effects, *drawn]}, indent=1) + "\n"
+    write_atomically(file, lambda opened: opened.write(text.encode()))
+    return file

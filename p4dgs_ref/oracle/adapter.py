@@ -44,12 +44,11 @@ import numpy as np
 
 from ..limits import cut
 from .compare import cast
-from .ports import ROLES, PortError
+from .ports import ROLES, PortError, refuse_other_types, refuse_unasked
 from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
 VERSION = 1
-MAX_LINE_BYTES = 2**26  # of an answer
 # After this many failures in a row a subject is given up. After as many subjects in a row, or as
 # many starts of the process, everything is given up.
 PATIENCE = 3
@@ -83,8 +82,7 @@ class Adapter(contextlib.AbstractContextManager):
 
         Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and unasked.
         """
-        if case.tolerance(self.dtype.name) is None:
-            raise PortError("unasked", case.record["tolerance"][f"{self.dtype.name}_reason"])
+        refuse_unasked(case, self.dtype)
         request = {
             "id": case.id,
             "subject": case.subject,
@@ -102,13 +100,7 @@ class Adapter(contextlib.AbstractContextManager):
             for role in self.asked
             for name, a in unpacked(answer, role.strip(".")).items()
         }
-        for name, a in got.items():
-            is_asked = name in case.tensors and case.tensors[name].dtype.kind == "f"
-            require(
-                not is_asked or a.dtype == self.dtype,
-                name,
-                f"expected {self.dtype} as in the first line, got {a.dtype}",
-            )
+        refuse_other_types(case, got, self.dtype)
         return got
 
     def decode(self, name, data):
@@ -238,7 +230,7 @@ class Child:
             asked = [self.stdin] if unsent else []
             readable, writable, _ = select.select([self.stdout], asked, [], left)
             if not left or not (readable or writable):
-                late = f"no answer within {seconds:g} s, compilation included; --timeout raises it"
+                late = f"no answer within {seconds:g} s, compilation included"
                 raise self._failure(PortError("hung", late))
             if writable:
                 with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up

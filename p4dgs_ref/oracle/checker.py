@@ -51,16 +51,17 @@ class Report(NamedTuple):
         return text(self)
 
 
-def check(forward, key, vjp=None, strict=False):
+def check(forward, key, vjp=None, strict=False, dtype="float64"):
     """Judge a Python function as an equation of the table, or as another subject of the vectors.
 
-    `forward(**inputs)` returns the outputs: a dictionary, a tuple in order or one array.
-    `vjp(inputs, cotangents)` returns {input: gradient}; without it only outputs are judged. Arrays
-    are whatever `np.asarray` reads. `strict` fails what is acceptable because the printed formula
-    is no better. Raises KeyError where `key` is no subject.
+    `key` may be the id of a single case. `forward(**inputs)` returns the outputs: a dictionary, a
+    tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
+    only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
+    which the inputs are given. `strict` fails what is acceptable because the printed formula is no
+    better. Raises KeyError where `key` is no subject and no case.
     """
-    results = check_subject(published.cases(key), FunctionPort(forward, vjp), strict)
-    return Report(results, strict=strict)
+    port = FunctionPort(forward, vjp, dtype)
+    return Report(check_subject(published.cases(key), port, strict), {}, port.dtype.name, strict)
 
 
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
@@ -165,7 +166,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         required=bool(names) and (is_valid or verdict == "fail"),
         findings=tuple(mistaken or findings),
         unasked=(*unasked, *sorted(vague)),
-        recipe=RECIPES[case.subject] if is_valid and findings and not mistaken else "",
+        recipe=RECIPES[case.subject] if is_valid and (findings or vague) and not mistaken else "",
         group=case.group,
     )
 

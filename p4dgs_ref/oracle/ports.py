@@ -9,7 +9,7 @@ import numpy as np
 
 from ..limits import cut
 from . import safetensors
-from .compare import expected, precision
+from .compare import cast, differences, expected, precision
 from .published import flatten, meant, stream_rows, subjects
 from .safetensors import require
 
@@ -110,36 +110,75 @@ class FolderPort:
 class FunctionPort:
     """A Python function as a port. It may return any arrays that `np.asarray` reads."""
 
-    def __init__(self, forward, vjp=None):
-        self.forward, self.vjp, self.asked = forward, vjp, ROLES if vjp else ROLES[:1]
+    def __init__(self, forward, vjp=None, dtype="float64"):
+        self.forward, self.vjp, self.dtype = forward, vjp, np.dtype(dtype)
+        self.asked = ROLES if vjp else ROLES[:1]
+
+    @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
+    def given(self, case):
+        """Return the inputs and cotangents of a case, new copies in the precision of the check."""
+        return cast(case.inputs(), self.dtype), cast(case.cotangents(), self.dtype)
 
     def run(self, case):
         """Call the function with the inputs of a case. Raises PortError."""
-        inputs = case.inputs()
+        refuse_unasked(case, self.dtype)
+        given = inputs, cotangents = self.given(case)
         try:
             got = _arrays(_named(self.forward(**inputs), case), "out.", case)
-            cotangents = case.cotangents()
             if self.vjp is not None and cotangents:
-                got.update(_arrays(self.vjp(inputs, cotangents), "in_bar.", case))
-        except Exception as error:  # any failure of a port is its verdict
+                got |= _arrays(self.vjp(inputs, cotangents), "in_bar.", case)
+        except (Exception, SystemExit) as error:  # any failure of a port is its verdict
             raise PortError("error", f"{type(error).__name__}: {error}") from None
+        for before, after in zip(self.given(case), given):
+            for finding in differences(flatten(before), flatten(after)):
+                raise PortError("error", f"the function changes its argument {finding.tensor}")
+        refuse_other_types(case, got, self.dtype)
         return got
 
 
+def refuse_unasked(case, dtype):
+    """Raise PortError, kind unasked, where a case is not judged in a precision."""
+    if case.tolerance(dtype.name) is None:
+        raise PortError("unasked", case.record["tolerance"][f"{dtype.name}_reason"])
+
+
+def refuse_other_types(case, got, dtype):
+    """Raise PortError, kind nonsense, where floats of an answer have not the type of the check."""
+    for name in case.tensors.keys() & got.keys():
+        if case.tensors[name].dtype.kind == "f" and got[name].dtype != dtype:
+            message = f"{name}: expected {dtype}, in which the port is checked, got "
+            raise PortError("nonsense", f"{message}{got[name].dtype}")
+
+
 def _named(out, case):
-    """Return a function's outputs as {name: value}."""
+    """Return a function's outputs as {name: value}. Raises TypeError."""
+    names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
     if isinstance(out, dict):
         return out
-    names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
-    several = isinstance(out, tuple) or len(names) > 1
-    return dict(zip(names, out if several else (out,), strict=True))
+    if len(names) == 1 and not isinstance(out, tuple):
+        out = (out,)
+    if not isinstance(out, (tuple, list)) or len(out) != len(names):
+        raise TypeError(f"expected the outputs {', '.join(names)}, got {_said(out)}")
+    return dict(zip(names, out))
 
 
 def _arrays(values, prefix, case):
     """Return the values as flat arrays; a value is a list where the case's tensor is one."""
-    given = {
-        name: list(value) if f"{prefix}{name}.0" in case.tensors else np.asarray(value)
-        for name, value in values.items()
-        if value is not None
-    }
+    if not isinstance(values, dict):
+        raise TypeError(f"expected a dictionary of gradients, got {_said(values)}")
+    given = {}
+    for name, value in values.items():
+        is_list = f"{prefix}{name}.0" in case.tensors
+        if is_list and not isinstance(value, (list, tuple, np.ndarray)):
+            raise TypeError(f"{name}: expected a list of arrays, got {_said(value)}")
+        if any(map(np.ma.is_masked, value if is_list else [value])):
+            raise TypeError(f"{name}: expected an array without masked elements")
+        if value is not None:
+            given[name] = list(value) if is_list else np.asarray(value)
     return flatten(given, prefix)
+
+
+def _said(value):
+    """Return a few words on a value of the wrong kind."""
+    is_several = isinstance(value, (tuple, list))
+    return f"{len(value)} of them" if is_several else f"one {type(value).__name__}"

@@ -103,13 +103,15 @@ def meant(name, known):
 
 
 def cases(key):
-    """Return the cases of the subject with that key.
+    """Return the cases of the subject with that key, or the single case with that id.
 
-    Raises KeyError where there is no such subject.
+    Raises KeyError where there is no such subject or case.
     """
-    if key not in subjects():
-        raise KeyError(f"{key!r}: {meant(key, subjects())}")
-    return read(subjects()[key])
+    subject, slash, _ = key.partition("/")
+    known = names(subject) if slash and subject in subjects() else subjects()
+    if key not in known:
+        raise KeyError(f"{key!r}: {meant(key, known)}")
+    return [case for case in read(subjects()[subject]) if key in (subject, case.id)]
 
 
 def read(subject, folder=FOLDER):
@@ -140,7 +142,7 @@ def flatten(values, prefix=""):
         if isinstance(value, list):
             flat.update({f"{prefix}{name}.{i}": np.asarray(a) for i, a in enumerate(value)})
         elif isinstance(value, (np.ndarray, np.generic)):
-            flat[prefix + name] = np.asarray(value)
+            flat[f"{prefix}{name}"] = np.asarray(value)
     return flat
 
 

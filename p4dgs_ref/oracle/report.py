@@ -52,12 +52,15 @@ def left_out(report):
 
 
 def unasked(report):
-    """Yield a line about cases and tensors of which no bound tells wrong answers."""
-    cases = sum(r.verdict == "unasked" for r in report.results)
-    tensors = sum(len(r.unasked) for r in report.results if r.verdict != "unasked")
-    if cases or tensors:
-        others = f" and {tensors} tensors of other cases" if tensors else ""
-        yield f"{cases} cases{others} are not judged here: a wrong answer would pass too"
+    """Yield a line with the cases and tensors of which no bound tells wrong answers."""
+    results = [r for r in report.results if r.unasked or r.verdict == "unasked"]
+    names = [
+        r.id if r.verdict == "unasked" else f"{r.id} ({', '.join(r.unasked)})" for r in results
+    ]
+    if names:
+        yield f"not judged, because a wrong answer would pass too: {', '.join(names)}"
+    for recipe in filter(None, dict.fromkeys(r.recipe for r in results)):
+        yield f"  what keeps the digits: {recipe}"
 
 
 def acceptable(report):

@@ -16,12 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..codec.container import BitstreamError, read_container
-from ..codec.context import hash_feature
-from ..codec.file import NETWORK_SECTIONS, quantised_of
-from ..codec.plain import network_numbers
 from ..output import OutputError, staged_folder
-from . import safetensors
 from .compare import Result, differences
 from .ports import PortError
 from .published import FOLDER, read_manifest
@@ -51,46 +46,6 @@ BLAMED = {
 def read_rows():
     """Return the manifest of the conformance streams, {"good": [...], "bad": [...]}."""
     return json.loads((STREAMS / "manifest.json").read_text(encoding="utf-8"))
-
-
-def arrays_of(quantised):
-    """Return the arrays that a decoder must find in the file of a model, {name: (type, array)}."""
-    model, ctx = quantised.model, quantised.context
-    signs = np.concatenate([grid.ravel() for grid in model.grids])
-    # Undoes the one rounded product of doubles, q = q_units Q_0 2^-15.
-    q_units = np.rint(ctx.q / (np.array(model.design.Q_0) * 2.0**-15))
-    arrays = {
-        "positions": ("u16", quantised.positions),
-        "x_a": ("f64", model.anchors.x_a),
-        "masks": ("u8", model.anchors.mask),
-        "signs": ("bit", signs > 0),
-        "h": ("i32", hash_feature(quantised.positions, model.grids, model.design)),
-        "q_units": ("i32", q_units),
-        "q": ("f64", ctx.q),
-        "mu_units": (_integer_type(ctx.mu_units), ctx.mu_units),
-        "sigma_units": ("i32", ctx.sigma_units),
-        "symbols": (_integer_type(quantised.symbols), quantised.symbols),
-        "attributes": ("f64", quantised.symbols * np.repeat(ctx.q, model.design.widths, axis=1)),
-    }
-    for section, members in NETWORK_SECTIONS.items():
-        present = {name: model.networks[name] for name in members if name in model.networks}
-        if present:
-            arrays[section] = "f32", network_numbers(present)
-    return arrays
-
-
-def _integer_type(array):
-    return "i32" if -(2**31) <= array.min() <= array.max() < 2**31 else "i64"
-
-
-def decoded(data):
-    """Return all arrays that the conformance streams name, {name: array}, decoded from any file.
-
-    Raises BitstreamError.
-    """
-    types = {**TYPES, "bit": bool}
-    arrays = arrays_of(quantised_of(read_container(data)))
-    return {name: np.asarray(a).astype(types[kind]) for name, (kind, a) in arrays.items()}
 
 
 def check(port, names=None):
@@ -145,35 +100,15 @@ def stored(row, entry):
 def export(folder):
     """Copy the published vectors into a folder; return the number of its cases.
 
-    The folder `codec` beside them holds what a right port answers to the streams, as an example.
     Raises OutputError where the folder holds other things, because files could be overwritten.
     """
-    place = Path(folder)
-    if place.is_dir() and any(place.iterdir()) and not (place / "manifest.json").is_file():
-        raise OutputError(
-            f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
-        )
-    with staged_folder(folder) as staging:
+    place, manifest = Path(folder), read_manifest()
+    with staged_folder(place) as staging:
+        if any(place.glob("[!.]*")) and not (place / "manifest.json").is_file():
+            raise OutputError(
+                f"{folder}: expected an empty folder, or an earlier export with its manifest.json"
+            )
         for file in filter(Path.is_file, FOLDER.iterdir()):
             shutil.copyfile(file, staging / file.name)
-        write_streams(staging)
-    manifest = read_manifest()
+        shutil.copytree(STREAMS, staging / "streams")
     return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
-
-
-def write_streams(folder):
-    """Copy the conformance streams to `folder`/streams, where the manifest says they are.
-
-    What is found in them goes into `folder`/codec, as a port would write it.
-    """
-    shutil.copytree(STREAMS, Path(folder) / "streams", dirs_exist_ok=True)
-    place, refusals, rows = Path(folder) / "codec", {}, read_rows()
-    place.mkdir(parents=True, exist_ok=True)
-    for row in rows["good"] + rows["bad"]:
-        try:
-            arrays = decoded((STREAMS / row["file"]).read_bytes())
-        except BitstreamError as error:
-            refusals[row["name"]] = str(error)
-        else:
-            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays))
-    (place / "refusals.json").write_text(json.dumps(refusals, indent=1), encoding="utf-8")

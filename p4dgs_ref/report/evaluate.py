@@ -7,7 +7,7 @@ import numpy as np
 
 from ..equations import ssim
 from ..model import Model
-from ..scenes.scene import Scene
+from ..scenes.scene import Scene, size_of
 from ..splatting.settings import FAST, Settings
 from ..training.progress import psnr
 from .inspect import components
@@ -39,15 +39,27 @@ def score(image, view):
     }
 
 
+def trained_on(scene):
+    """The names of test views that are training views: same picture, or same camera and time."""
+
+    def marks(view):
+        R, T = view.camera.R, view.camera.T
+        return {hash(view.image.tobytes()), (R.tobytes(), T.tobytes(), view.time)}
+
+    known = set().union(*map(marks, scene.train))
+    return [view.name for view in scene.test if marks(view) & known]
+
+
 def evaluate(
     model: Model, scene: Scene, settings: Settings = FAST, split: str = "test"
 ) -> tuple[dict, list[dict], list[np.ndarray]]:
     """Measure a model on a scene's views.
 
     Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,
-    ssim, render_fps, anchors, gaussians}; there is one row {name, time, ...} and one image
-    (H, W, 3) per view. Raises ValueError where the scene has no such views. Warns of a scene that
-    lies over another background than the model.
+    ssim, render_fps, anchors, gaussians} and the `size` of the pictures; there is one row
+    {name, time, size, ...} and one image (H, W, 3) per view. Raises ValueError where the scene has
+    no such views. Warns of a scene that lies over another background than the model, and of test
+    views that are training views.
     """
     views = getattr(scene, split)
     if not views:
@@ -59,11 +71,19 @@ def evaluate(
             "ones, by load_scene(..., background=...) or the effect `background` in scene.json",
             stacklevel=2,
         )
+    seen = trained_on(scene) if split == "test" else ()
+    if seen:
+        warnings.warn(
+            f"scene {scene.name}: {len(seen)} of {len(views)} test views are training views (same "
+            f"picture, or same camera and time), such as {seen[0]}",
+            stacklevel=2,
+        )
     images, seconds = map(
         list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))
     )
+    size = size_of(images[0])
     rows = [
-        {"name": view.name, "time": view.time, **score(image, view)}
+        {"name": view.name, "time": view.time, "size": size, **score(image, view)}
         for view, image in zip(views, images)
     ]
 
@@ -72,6 +92,7 @@ def evaluate(
         return float(np.mean(values)) if values else None
 
     metrics = {
+        "size": size,
         **{key: mean(key) for key in ("psnr_db", "psnr_fg_db", "ssim")},
         "render_fps": float(1 / np.median(seconds)),
         "anchors": model.primitives,

@@ -12,6 +12,7 @@ from ..splatting import render
 from ..splatting.camera import look_at
 from ..splatting.settings import FAST
 from ..training.progress import COLUMNS
+from .evaluate import trained_on
 
 STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
@@ -27,7 +28,6 @@ LABELS = {
 # The colours of Okabe and Ito, which colour-blind readers can tell apart.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 BLUE, RED, GREEN, PINK, ORANGE, LIGHT_BLUE, _ = COLORS
-STACK = (BLUE, ORANGE, GREEN, PINK)
 ERROR_RANGE = 0.25  # the end of the error pictures' colours, the same in every report
 STYLE = {  # letters that stay readable in a small picture
     "font.size": 13,
@@ -129,9 +129,10 @@ def write_comparison(folder, scene, rows, images, count=4):
     order = np.argsort([view.time for view in scene.test], kind="stable")
     index = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in index], [np.clip(images[i], 0, 1) for i in index]
+    unseen = "" if trained_on(scene) else ", not used in training"
     draw_pictures(
         folder / "comparison.png",
-        f"{scene.name}: test views, not used in training",
+        f"{scene.name}: test views of {rows[0]['size']} pixels{unseen}",
         [
             ("truth", [(view.image, f"t = {view.time:.2f}") for view in views]),
             ("decoded", [(a, f"PSNR {rows[i]['psnr_db']:.1f} dB") for a, i in zip(images, index)]),
@@ -156,8 +157,9 @@ def gif_of(images):
     return image_bytes(frames, ".gif", duration=60, loop=0)
 
 
-def write_motion(path, model, camera, frames=24, zoom=4):
-    """A GIF of the model over t, seen by one camera at rest."""
+def write_motion(path, model, camera, frames=24):
+    """A GIF of the model over t, seen by one camera at rest; small pictures are enlarged."""
+    zoom = max(1, min(4, 256 // camera.width))
     images = [
         np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
         for t in np.linspace(0, 1, frames)
@@ -188,34 +190,6 @@ def write_size(folder, name, metrics):
         fontsize=14,
     )
     save_figure(figure, folder / "size.png")
-
-
-@styled()
-def draw_ledger(path, rows):
-    """Every section as a stacked bar: entropy, integer model, coder, headers.
-
-    There are two panels, because the last three are a hundredth of the sections: all bytes, and the
-    bytes beyond the entropy.
-    """
-    rows = sorted(rows, key=lambda row: row["bytes"])
-    names = [LABELS.get(row["name"], row["name"]) for row in rows]
-    parts = {
-        "entropy (or stored without coding)": [row["estimate_bytes"] for row in rows],
-        "+ integer model": [row["integer_bytes"] - row["estimate_bytes"] for row in rows],
-        "+ coder": [row["payload_bytes"] - row["integer_bytes"] for row in rows],
-        "+ headers": [row["header_bytes"] for row in rows],
-    }
-    figure, (left, right) = subplots(1, 2, figsize=(12, 5.5), sharey=True)
-    for ax, skip in ((left, 0), (right, 1)):
-        start = np.zeros(len(rows))
-        for color, (label, values) in list(zip(STACK, parts.items()))[skip:]:
-            ax.barh(names, values, left=start, color=color, label=label)
-            start = start + values
-        ax.locator_params(axis="x", nbins=5)
-    left.set(xlabel="bytes", title=f"file: {sum(row['bytes'] for row in rows):,} bytes")
-    right.set(xlabel="bytes", title="beyond the entropy")
-    left.legend(loc="lower right", frameon=False)
-    save_figure(figure, path)
 
 
 def heat_image(model, colors, camera, t, settings=FAST):

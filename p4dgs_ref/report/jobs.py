@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ..arithmetic import arithmetic
+from ..codec.container import EncodeError
 from ..codec.file import decode, encode
 from ..output import refuse_existing, staged_folder
 from ..scenes.scene import Scene
 from ..training import advice
-from ..training.fit import fit
+from ..training.fit import fit, identity, save_checkpoint
 from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import compression, evaluate, json_safe, timed
+
+OVERFITTED = 6  # dB by which training views may be better than test views without a warning
 
 
 def main_job(
@@ -30,8 +33,9 @@ def main_job(
 
     Pictures and metrics are those of the decoded model. The folder gets all files at the end, or
     none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
-    other arguments are those of `train`. Raises the errors of `train` and `evaluate`, and
-    OutputError for a folder that cannot be written or holds an earlier report.
+    other arguments are those of `train`. Raises the errors of `train` and `evaluate`, OutputError
+    for a folder that cannot be written or holds an earlier report, and EncodeError for a model that
+    no file holds, whose checkpoint stays in the folder.
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), scene.name.replace("/", "_")
@@ -42,10 +46,22 @@ def main_job(
         for sentence in advice.before(scene, preset, seed):
             warnings.warn(sentence, stacklevel=2)
         trainer, seconds = timed(fit, scene, preset, seed, stream=stream)
-        data, encode_seconds = timed(encode, trainer.model())
+        try:
+            data, encode_seconds = timed(encode, trainer.model())
+        except (EncodeError, OverflowError) as error:
+            save_checkpoint(trainer, folder, identity(trainer))
+            raise EncodeError(f"{error}; the training is kept in {folder}") from None
         path.write_bytes(data)
         model, decode_seconds = timed(decode, path.read_bytes())
         measures, rows, images = evaluate(model, scene)
+        trained = evaluate(model, scene, split="train")[0]["psnr_db"]
+        if trained > measures["psnr_db"] + OVERFITTED:
+            warnings.warn(
+                f"scene {scene.name}: training views have {trained:.2f} dB at {measures['size']}, "
+                f"test views {measures['psnr_db']:.2f} dB: the model knows the pictures better "
+                "than the scene; more cameras, or slower motion between them, would tell more",
+                stacklevel=2,
+            )
         warning = advice.after(trainer)
         metrics = {
             "scene": scene.name,
@@ -53,6 +69,7 @@ def main_job(
             "seed": seed,
             "arithmetic": arithmetic(),
             **measures,
+            "train_psnr_db": trained,
             **compression(model, data, measures["gaussians"]),
             "train_seconds": seconds,
             "ms_per_step": 1e3 * seconds / preset.iterations,

@@ -10,10 +10,15 @@ from ..output import new_file, write_atomically
 VIEWER = Path(__file__).parents[1] / "viewer"
 
 
-def page(files):
-    """The page as bytes, for files {path: bytes}; it shows the first one when it is opened."""
+def page(files, notes=None):
+    """The page as bytes, for files {path: bytes}; it shows the first one when it is opened.
+
+    `notes` {path: {...}} say more of a file: `anchor` is the one that the guide follows. Files with
+    `lambda_rate` and `psnr_db` (against the true pictures) give the guide its last step.
+    """
+    notes = notes or {}
     embedded = [
-        {"name": Path(path).name, "base64": base64.b64encode(data).decode()}
+        {"name": Path(path).name, **notes.get(path, {}), "base64": base64.b64encode(data).decode()}
         for path, data in files.items()
     ]
     # The page has an empty list of files. No "<" in a name may end the script that holds it.

@@ -1,29 +1,42 @@
-"""Reads scenes in the layout of D-NeRF: transforms_{train,test}.json beside PNG files.
+"""Reads scenes in the layout of D-NeRF and of instant-ngp: transforms*.json beside pictures.
+
+D-NeRF has transforms_train.json and transforms_test.json. A capture has transforms.json alone: of
+its pictures, sorted by name, the first and every eighth after it are for testing, the others for
+training. Where no frame has a time, nothing moves: all times are 0.
 
 The files count pixels from the corner of the image, and their cameras look along -z with y up, as
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
 (Q20). Therefore c_x = cx/s - 1/2 after downscaling by s, and the second and third column of every
 camera-to-world matrix change their sign.
 
-instant-ngp and nerfstudio write such files with more fields. The tables LENS, FRAME and TRANSFORMS
-have a row for every field that is read. A field that would change pictures or cameras in another
-way is refused unless it is 0, false or empty (`off`). HARMLESS names the fields that only tell
-another program how to train. Any other field is named in a warning.
-
-Focal lengths and the principal point are pixels of an image of w x h. Where the pictures have
-another size, they are scaled. All views of a file have one lens.
+A field of a file is used, which LENS, FRAME and `frames` list, or `off`, or named in a warning. A
+frame may have a lens of its own. Focal lengths and the principal point are pixels of an image of
+w x h; where the pictures have another size, they are scaled. Distortion by k1, k2, p1 and p2 is
+removed from the pictures, by the formula in `hypernerf`; other lenses are refused.
 """
 
 import math
+import os
 import warnings
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
 
-from ..splatting.camera import Camera
-from .fields import MAX_LENS, REQUIRED, choice, fields, list_of, numbers, require, shown, text
-from .files import read_image, read_json, shrink
-from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, View, rotation
+from .fields import (
+    MAX_LENS,
+    REQUIRED,
+    choice,
+    fields,
+    list_of,
+    numbers,
+    require,
+    shown,
+    text,
+    typed,
+)
+from .files import CAPTURE, make_view, read_image, read_json
+from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, rotation
 
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
@@ -33,7 +46,7 @@ def world_to_camera(value, where):
     """R and T from world to camera in OpenCV axes, from the matrix of a file."""
     c2w = NUMBER(value, where, shape=(4, 4))
     require(
-        np.abs(c2w[3] - (0, 0, 0, 1)).max() <= 1e-6,
+        np.allclose(c2w[3], (0, 0, 0, 1)),
         where,
         "the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
     )
@@ -41,157 +54,130 @@ def world_to_camera(value, where):
     return R, -R @ c2w[:3, 3]
 
 
-def off(value, where, expected):
-    """Check that a field is 0, false, null, empty, or a list of these."""
+def off(value):
+    """Whether a field changes nothing: 0, false, null, empty, all zeros or an identity matrix."""
+    with suppress(ValueError, TypeError, OverflowError):  # texts, objects, integers of 400 digits
+        entries = np.array(value or 0, float)
+        return not entries.any() or np.array_equal(entries, np.eye(*entries.shape))
+    return False
+
+
+def only_off(value, where):
+    """Refuse a field of another lens."""
     require(
-        not (any(value) if isinstance(value, list) else value),
+        off(value),
         where,
-        f"{shown(value)}; expected {expected}",
+        f"{shown(value)}; expected 0 or no such field; undistort the pictures of such a lens first",
     )
 
 
-def optional(names, check, **settings):
+def optional(names, check, default=None, **settings):
     """The rows of fields that may be missing."""
-    return dict.fromkeys(names.split(), (partial(check, **settings), None))
+    return dict.fromkeys(names.split(), (partial(check, **settings), default))
 
 
-PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+PINHOLES = "SIMPLE_PINHOLE PINHOLE SIMPLE_RADIAL RADIAL OPENCV".split()
 LENS = {
     **optional("camera_angle_x camera_angle_y", numbers, low=1e-6, high=math.pi - 1e-6),  # radians
     **optional("fl_x fl_y", FOCAL),  # pixels of an image of w x h
     **optional("cx cy", PRINCIPAL),
     **optional("w h", numbers, low=1, high=MAX_LENS),
+    **optional("k1 k2 p1 p2", PRINCIPAL, default=0.0),
     **optional("camera_model", choice, words=PINHOLES),
-    **optional(
-        "k1 k2 k3 k4 k5 k6 p1 p2 distortion distortion_params skew is_fisheye fisheye_crop_radius "
-        "ftheta_p0 ftheta_p1 ftheta_p2 ftheta_p3 ftheta_p4 latlong equirectangular",
-        off,
-        expected="0 or no such field; undistort the pictures of such a lens first",
-    ),
-    **optional(
-        "x_fov y_fov fov horizontal_fov vertical_fov intrinsic_matrix intrinsics K",
-        off,
-        expected="camera_angle_x in radians, or fl_x, fl_y, cx and cy in pixels",
-    ),
-    **optional("rolling_shutter", off, expected="pictures that were taken at one moment"),
+    **optional("k3 k4 k5 k6 distortion_params skew is_fisheye latlong equirectangular", only_off),
 }
-FRAME = {
-    "file_path": (text, REQUIRED),
-    "time": (SHARE, REQUIRED),
-    "transform_matrix": (world_to_camera, REQUIRED),
-    **optional(" ".join(LENS), off, expected="one lens of all views, beside `frames`"),
-    **optional(
-        "transform_matrix_start transform_matrix_end",
-        off,
-        expected="one transform_matrix, of a picture that was taken at one moment",
-    ),
-    **optional("mask_path", off, expected="pictures with alpha, without a mask beside them"),
-}
-TRANSFORMS = {
-    "frames": (partial(list_of, check=partial(fields, table=FRAME, others=True)), REQUIRED),
-    **LENS,
-    **optional("from_na normal_mts_args", off, expected="matrices in the axes of OpenGL"),
-    **optional(
-        "white_transparent black_transparent fix_premult",
-        off,
-        expected="pictures whose own alpha says what is transparent",
-    ),
-    **optional("envmap", off, expected="a background of one colour"),
-    **optional(
-        "train_filenames val_filenames test_filenames",
-        off,
-        expected="the views of one split in every file",
-    ),
-}
-HARMLESS = (
-    "aabb aabb_scale scale offset render_aabb up n_frames n_extra_learnable_dims sharpen "
-    "sharpness_discard_threshold importance_sampling integer_depth_scale enable_depth_loading "
-    "enable_ray_loading applied_transform applied_scale orientation_override ply_file_path "
-    "rotation sharpness depth_path depth_file_path colmap_im_id driver_parameters"
-).split()
+FRAME = {"file_path": (text, REQUIRED), "transform_matrix": (world_to_camera, REQUIRED)}
+HEAD = {"frames": (partial(list_of, check=partial(typed, kind=dict)), REQUIRED), **LENS}
+USED = {*HEAD, *FRAME, "time", "rotation"}  # D-NeRF writes a rotation, but nobody reads it
 
 
-def read(folder, color, downscale):
-    """The views of both splits, {"train": ..., "test": ...}; a split `val` is not read."""
-    return {
-        split: read_split(folder, folder / f"transforms_{split}.json", color, downscale)
-        for split in ("train", "test")
-    }
+def read(folder, color, downscale, progress):
+    """The views of both splits and whether nothing moves: {"train", "test", "still"}.
+
+    Every field is checked before the first picture is read.
+    """
+    files = [folder / f"transforms_{split}.json" for split in ("train", "test")]
+    is_capture = os.path.lexists(folder / CAPTURE) and not os.path.lexists(files[0])
+    if is_capture:
+        files = [folder / CAPTURE]
+    heads = [read_head(file) for file in files]
+    still = not any("time" in frame for head in heads for frame in head.frames)
+    frames = [
+        read_frame(frame, f"{file}: frames[{i}]", head, still)
+        for file, head in zip(files, heads)
+        for i, frame in enumerate(head.frames)
+    ]
+    if is_capture:
+        frames.sort(key=lambda frame: frame.file_path)
+    train, test = [], []
+    for i, frame in enumerate(frames):
+        progress(i, len(frames))
+        is_test = not i % 8 if is_capture else i >= len(heads[0].frames)
+        (test if is_test else train).append(read_view(folder, frame, color, downscale))
+    return {"train": train, "test": test, "still": still}
 
 
-def read_split(folder, file, color, downscale):
-    """The views of one transforms file; every field is checked before the first picture is read."""
-    data = read_transforms(file)
-    views = []
-    for i, frame in enumerate(data.frames):
-        name, where = frame.file_path.replace("\\", "/"), f"{file}: frames[{i}].file_path"
-        image = read_image(folder, name, where)
-        size = image.shape[1::-1]
-        check_lens(data, *size, file)
-        camera = make_camera(*frame.transform_matrix, data, *size, downscale)
-        pixels, alpha = shrink(image, color, downscale, where)
-        name = name.removeprefix("./").removesuffix(".png")
-        views.append(View(name, pixels, alpha, camera, frame.time))
-    return tuple(views)
-
-
-def read_transforms(file):
-    """The checked fields of a transforms file."""
+def read_head(file):
+    """The checked fields of a transforms file, but for those of its frames."""
     content = read_json(file)
-    values = fields(content, file, TRANSFORMS, others=True)
-    require(values.frames, f"{file}: frames", "empty; expected at least one view")
+    head = fields(content, file, HEAD, others=True)
+    require(head.frames, f"{file}: frames", "empty; expected at least one view")
+    unread = {
+        shown(name)
+        for entries in (content, *head.frames)
+        for name, value in entries.items()
+        if name not in USED and not off(value)
+    }
+    if unread:
+        warnings.warn(f"{file}: fields that are not read: {', '.join(sorted(unread))}")
+    return head
+
+
+def read_frame(frame, where, head, still):
+    """The checked fields of a frame, and `where` it stands; a field that it lacks is the file's."""
+    lens = {name: (check, getattr(head, name)) for name, (check, _) in LENS.items()}
+    time = {"time": (SHARE, 0.0 if still else REQUIRED)}
+    values = fields(frame, where, {**FRAME, **time, **lens}, others=True)
     require(
         values.camera_angle_x or values.fl_x,
-        f"{file}: camera_angle_x",
+        f"{where}.camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    unknown = {*content}.union(*content["frames"]) - {*TRANSFORMS, *FRAME, *HARMLESS}
-    if unknown:
-        warnings.warn(f"{file}: fields that are not known are not read: {shown(sorted(unknown))}")
+    values.where = where
     return values
 
 
-def check_lens(lens, width, height, file):
-    """Refuse fields of a lens that contradict each other, or the size of a picture."""
-    w, h = lens.w or width, lens.h or height
+def read_view(folder, frame, color, downscale):
+    """One view from its picture."""
+    name, where = frame.file_path.replace("\\", "/"), f"{frame.where}.file_path"
+    image = read_image(folder, name, where)
+    lens = lens_of(frame, *image.shape[1::-1])
+    name = name.removeprefix("./").removesuffix(".png")
+    return make_view(
+        name, image, lens, *frame.transform_matrix, frame.time, color, downscale, where
+    )
+
+
+def lens_of(frame, width, height):
+    """The lens of a frame in pixels of its picture, as `make_view` takes it."""
+    w, h = frame.w or width, frame.h or height
+    f_x = frame.fl_x or w / 2 / math.tan(frame.camera_angle_x / 2)
+    f_y = frame.fl_y or (frame.camera_angle_y and h / 2 / math.tan(frame.camera_angle_y / 2))
+    cx, cy = frame.cx or w / 2, frame.cy or h / 2
+    angle = 2 * math.atan(w / 2 / f_x)
     require(
-        abs(w * height - h * width) < max(w, h),  # less than a pixel of the shorter side
-        f"{file}: w, h",
-        f"{w:g}x{h:g}; expected the proportions of the pictures, {width}x{height} pixels",
+        math.isclose(frame.camera_angle_x or angle, angle, rel_tol=0.01),
+        f"{frame.where}.camera_angle_x",
+        f"{frame.camera_angle_x}; expected {angle:.6g}, by fl_x and pictures of width {w:g} (w and "
+        "h say the size that fl_x and fl_y are for)",
     )
-    for axis, side in (("x", w), ("y", h)):
-        focal, angle = getattr(lens, f"fl_{axis}"), getattr(lens, f"camera_angle_{axis}")
-        middle = getattr(lens, f"c{axis}")
-        require(
-            middle is None or 0 < middle < side,
-            f"{file}: c{axis}",
-            f"{middle}; expected a place inside pictures of {side:g} pixels (w and h say the size "
-            "that cx and cy are for)",
-        )
-        found = 2 * math.atan(side / 2 / focal) if focal else angle or 0.0
-        require(
-            not angle or abs(found - angle) <= 0.01 * angle,
-            f"{file}: camera_angle_{axis}",
-            f"{angle}; expected {found:.6g}, by fl_{axis} and pictures of {side:g} pixels (w and h "
-            "say the size that fl_x and fl_y are for)",
-        )
-
-
-def make_camera(R, T, lens, width, height, downscale):
-    """The camera of a picture of this size after downscaling; the lens is that of w x h."""
-    w, h = lens.w or width, lens.h or height
-    s_x, s_y = w / width * downscale, h / height * downscale
-    f_x = lens.fl_x or w / 2 / math.tan(lens.camera_angle_x / 2)
-    f_y = lens.fl_y or (lens.camera_angle_y and h / 2 / math.tan(lens.camera_angle_y / 2))
-    cx = w / 2 if lens.cx is None else lens.cx
-    cy = h / 2 if lens.cy is None else lens.cy
-    return Camera(
-        R,
-        T,
-        f_x / s_x,
-        (f_y or f_x) / s_y,  # pixels are square unless the file says otherwise
-        cx / s_x - 0.5,
-        cy / s_y - 0.5,
-        width // downscale,
-        height // downscale,
+    require(
+        abs(w * height - h * width) < max(w, h)  # less than a pixel of the shorter side
+        and (0 < cx < w and 0 < cy < h),
+        f"{frame.where}: w, h, cx, cy",
+        f"{w:g}x{h:g}, {cx:g}, {cy:g}; expected the proportions of the picture, {width}x{height} "
+        "pixels, and a place inside",
     )
+    # Pixels are square unless the file says otherwise.
+    focal, middle = np.array([(f_x, f_y or f_x), (cx, cy)]) / (w / width, h / height)
+    return focal, middle, np.array([frame.k1, frame.k2, 0]), np.array([frame.p1, frame.p2])

@@ -18,8 +18,17 @@ from ..limits import cut
 
 MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
 MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
-REQUIRED = object()  # the default of a field that must be there
 KINDS = {int: Integral, float: Real}
+
+
+class Missing:
+    """The default of a field that must be there; a message shows it as what was found."""
+
+    def __repr__(self):
+        return "missing"
+
+
+REQUIRED = Missing()
 
 
 class SceneError(ValueError):
@@ -47,15 +56,10 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
         if entries.shape == shape and all(known):
             values = entries.astype(kind)
     if not np.all((values >= low) & (values <= high)):  # nor for NaN
-        one, many = ("an integer", "integers") if kind is int else ("a number", "numbers")
-        expected = f"{many} of shape {list(shape)}" if shape else one
+        name = "integer" if kind is int else "number"
+        expected = f"{name}s of shape {list(shape)}" if shape else f"one {name}"
         raise SceneError(where, f"{shown(value)}; expected {expected} in [{low:g}, {high:g}]")
     return values if shape else values.item()
-
-
-def printable(name):
-    """A name of a file or folder whose bytes that are not UTF-8 are shown as escapes."""
-    return str(name).encode(errors="backslashreplace").decode()
 
 
 def typed(value, where, kind):
@@ -106,7 +110,7 @@ def fields(value, where, table, others=False):
     for name, (check, default) in table.items():
         place = f"{where}.{name}" if ": " in str(where) else f"{where}: {name}"
         given = name in value or default is REQUIRED
-        setattr(values, name, check(value.get(name), place) if given else default)
+        setattr(values, name, check(value.get(name, default), place) if given else default)
     return values
 
 

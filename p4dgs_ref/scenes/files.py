@@ -11,24 +11,33 @@ import os
 import re
 import warnings
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
+from imageio.plugins.pillow import PillowPlugin
 
 from ..limits import MAX_ANCHORS, MAX_FILE_BYTES, MAX_HEADER_BYTES
+from ..splatting.camera import Camera
 from .fields import MAX_COORDINATE, SceneError, require
-from .scene import as_float, over_background, size_of
+from .scene import View, as_float, over_background, size_of
 
 MAX_JSON_BYTES = 2**27  # a view takes about 500
 MAX_PICTURE = 2**27  # pixels times channels of a picture
+CAPTURE = "transforms.json"
 FOLDERS = (
-    "a D-NeRF folder with transforms_train.json and transforms_test.json, "
-    "or a HyperNeRF or NeRF-DS folder with dataset.json"
+    "a D-NeRF folder with transforms_train.json and transforms_test.json, a capture with "
+    f"{CAPTURE}, or a HyperNeRF or NeRF-DS folder with dataset.json"
 )
+ENDINGS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".JPEG")
 # The types of a PLY file that NumPy knows by another name, or that have another size there.
 PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}
+# Gives the number of vertices, and the lines of their properties.
+PLY_HEADER = re.compile(
+    rb"ply\r?\n(?:comment.*\n)*format binary_little_endian .*\n(?:(?:comment|obj_info).*\n)*"
+    rb"element vertex (\d+)\r?\n((?:property \w+ \w+\r?\n)*)(?:element (?s:.*?)\n)?end_header\r?\n"
+)
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
 
@@ -42,32 +51,46 @@ def read_json(file, expected=FOLDERS):
 
 
 def read_image(folder, name, where):
-    """The pixels of a picture as float32 [H, W, 3 or 4]; the name may leave out .png."""
-    file = folder / name
-    if not os.path.isfile(file):  # unlike Path.is_file, also False for an impossible name
-        file = folder / f"{name}.png"
-    named = folder / name if Path(name).suffix else file
-    require(os.path.isfile(file), where, f"no picture {name!r}; expected {named}")
+    """The pixels of a picture as float32 [H, W, 3 or 4]; the name may leave out its ending.
+
+    They are turned as the camera that took them says (EXIF).
+    """
+    files = [folder / f"{name}{ending}" for ending in ("", *ENDINGS)]
+    # unlike Path.is_file, isfile is also False for an impossible name
+    file = next(filter(os.path.isfile, files), None)
+    named = files[0] if Path(name).suffix else f"{files[1]}, .jpg or .jpeg"
+    require(file, where, f"no picture {name!r}; expected {named}")
     require(
         file.resolve().is_relative_to(folder.resolve()),
         where,
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
     place = f"{where}: {file}"
-    with reading(file, f"a PNG of {PIXELS}", where), open(file, "rb") as stream:
-        with iio.imopen(stream, "r", plugin="pillow") as opened:  # it would read a path's ~ or .zip
+    with reading(file, f"a picture of {PIXELS}", where):
+        # Of a path it would read its ~ or .zip.
+        with iio.imopen(file.read_bytes(), "r", plugin=PillowPlugin) as opened:
             shape = opened.properties().shape
             require(
                 math.prod(shape) <= MAX_PICTURE,
                 place,
-                f"{shape} numbers; expected a PNG of at most {MAX_PICTURE}",
+                f"{shape} numbers; expected a picture of at most {MAX_PICTURE}",
             )
-            described = opened.metadata()  # this decodes the pixels
+            described = opened.metadata(exclude_applied=False)  # this decodes the pixels
             mode = described["mode"]
             # Pillow would give other kinds, such as CMYK, as if their numbers were RGB or RGBA.
             require(mode in MODES, place, f"pixels of kind {mode}; expected {PIXELS}")
             clear = mode in ("RGBA", "LA") or "transparency" in described
-            return as_float(opened.read(mode="RGBA" if clear else "RGB"), place)
+            pixels = opened.read(mode="RGBA" if clear else "RGB")
+            return as_float(turned(pixels, described.get("Orientation")), place)
+
+
+def turned(pixels, orientation):
+    """Pixels as a viewer shows them, by the field Orientation of EXIF, 1 to 8."""
+    if orientation in range(5, 9):
+        pixels = pixels.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return pixels[:, ::-1] if orientation in (2, 3, 6, 7) else pixels
 
 
 def image_bytes(pixels, ending, **settings):
@@ -81,21 +104,60 @@ def write_image(path, pixels, **settings):
     path.write_bytes(image_bytes(pixels, path.suffix, **settings))
 
 
-def shrink(image, color, downscale, where):
-    """The picture over a colour and its alpha (None for RGB), both sides divided by `downscale`."""
-    require(
-        not any(side % downscale for side in image.shape[:2]),
-        where,
-        f"{size_of(image)} pixels; expected sides divisible by downscale {downscale}",
-    )
+def make_view(name, image, lens, R, T, time, color, downscale, where):
+    """A view from a picture, straightened, over a colour, both sides divided by `downscale`.
+
+    The lens is (focal [2], middle [2], k [3], p [2]): focal lengths and principal point in pixels
+    from the corner of the picture, and the distortion of `hypernerf`.
+    """
+    if premultiplied(image):
+        warn_once(
+            "in the partly transparent pixels of a picture no colour exceeds alpha, as if it were "
+            "multiplied by it; expected straight alpha"
+        )
     # before the averaging, so that every colour is weighted by its alpha
-    pixels, alpha = over_background(image, color)
-    return box_filter(pixels, downscale), None if alpha is None else box_filter(alpha, downscale)
+    pixels, alpha = over_background(straighten(image, *lens), color)
+    pixels = box_filter(pixels, downscale)
+    require(pixels.size, where, f"{size_of(image)} pixels; expected at least downscale {downscale}")
+    focal, middle = (lengths / downscale for lengths in lens[:2])
+    camera = Camera(R, T, *focal.tolist(), *(middle - 0.5).tolist(), *pixels.shape[1::-1])  # Q20
+    alpha = None if alpha is None else box_filter(alpha, downscale)
+    return View(name, pixels, alpha, camera, time)
+
+
+@cache
+def warn_once(text):
+    """Warn, but not again for every picture."""
+    warnings.warn(text)
+
+
+def premultiplied(image):
+    """Whether no colour exceeds alpha in partly transparent pixels, of which there are many."""
+    alpha = image[..., -1]
+    partly = (alpha > 0.1) & (alpha < 0.9) & (image.shape[2] == 4)
+    return partly.sum() >= 100 and (image[partly].max(1) <= alpha[partly] + 1 / 255).all()
+
+
+def straighten(image, focal, middle, k, p):
+    """A picture as the lens would show it without distortion."""
+    if not (k.any() or p.any()):
+        return image
+    from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
+
+    focal, middle, p = (pair[::-1, None, None] for pair in (focal, middle, p))  # y before x
+    yx = (np.indices(image.shape[:2]) + 0.5 - middle) / focal
+    r2 = (yx * yx).sum(axis=0)
+    bent = yx * np.polyval((*k[::-1], 1), r2)
+    bent += 2 * p * yx.prod(axis=0) + p[::-1] * (r2 + 2 * yx * yx)
+    seen = bent * focal + middle - 0.5
+    channels = np.moveaxis(image, -1, 0)
+    return np.dstack([map_coordinates(c, seen, order=1, mode="nearest") for c in channels])
 
 
 def box_filter(image, s):
-    """The means over boxes of s by s pixels."""
-    boxes = image.reshape(image.shape[0] // s, s, image.shape[1] // s, s, *image.shape[2:])
+    """The means over boxes of s by s pixels; what is left at the right and below is cut off."""
+    height, width = image.shape[0] // s, image.shape[1] // s
+    boxes = image[: height * s, : width * s].reshape(height, s, width, s, *image.shape[2:])
     return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
 
 
@@ -113,17 +175,20 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
             yield
-    except SceneError:
+    except (SceneError, MemoryError):
         raise
     except Exception as error:  # a broken file can fail in any layer of its reader
-        raise SceneError(place, f"cannot be read ({error}); expected {expected}") from None
+        reason = error.__cause__ or error
+        raise SceneError(place, f"cannot be read ({reason}); expected {expected}") from None
 
 
 def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
-    path = Path(path)
+    path, expected = Path(path), "points in a .npy or a binary .ply"
     require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
-    with reading(path, "points in a .npy or a binary .ply"):
+    if os.path.isfile(text := path.with_name("points3D.txt")):
+        expected += f", such as x, y and z of {text}"
+    with reading(path, expected):
         points = READERS[path.suffix](path)
         require(
             points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,
@@ -139,30 +204,20 @@ def read_points(path: str | Path) -> np.ndarray:
 
 
 def read_ply(path):
-    """The vertices of a binary file: a structured array [N], whose fields are their properties.
-
-    Vertices are the first element, as COLMAP and 3DGS write them.
-    """
+    """The vertices of a binary file: a structured array [N], whose fields are their properties."""
     data = Path(path).read_bytes()
-    end = re.search(rb"\r?\nend_header\r?\n", data[:MAX_HEADER_BYTES])
+    head = PLY_HEADER.match(data[:MAX_HEADER_BYTES])
     require(
-        data[:3] == b"ply" and end,
+        head,
         path,
-        f"expected a header from 'ply' to 'end_header', of at most {MAX_HEADER_BYTES} bytes",
+        f"begins with {data[:120]!r}; expected a .ply in binary_little_endian whose header, up to "
+        f"'end_header' at most {MAX_HEADER_BYTES} bytes, has 'vertex' first and properties of one "
+        "number each",
     )
-    head = data[: end.start()].decode("ascii")
-    start, *elements = head.split("\nelement ")
-    require(
-        elements and elements[0].startswith("vertex "),
-        path,
-        "expected 'vertex' as the first element",
-    )
-    (_, count), *lines = (line.split() for line in elements[0].splitlines())
-    require("\nformat binary_little_endian " in start, path, "expected a little-endian binary .ply")
-    columns = [
-        (line[-1], PLY_TYPES.get(line[1], line[1])) for line in lines if line[0] == "property"
-    ]
-    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), end.end())
+    count, lines = head.groups()
+    properties = re.findall(r"property (\w+) (\w+)", lines.decode())
+    columns = [(name, PLY_TYPES.get(kind, kind)) for kind, name in properties]
+    return np.frombuffer(data, np.dtype(columns).newbyteorder("<"), int(count), head.end())
 
 
 def read_vertices(path):

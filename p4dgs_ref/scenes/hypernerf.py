@@ -4,7 +4,7 @@
     metadata.json   time_id of every view; where there is none, warp_id counts the times
     scene.json      center and scale: x in the files is (x - center) scale for us
     camera/ID.json  orientation (world to camera, OpenCV axes) and position of a camera, its lens
-    rgb/Nx/ID.png   its picture, both sides divided by N
+    rgb/Nx/ID.png   its picture (or .jpg, .jpeg), both sides divided by N
     points.npy      points [A, 3] from which anchors start
 
 A camera projects the point (x, y, 1) before it to the pixel (u, v), which counts from the corner of
@@ -24,10 +24,19 @@ from functools import partial
 
 import numpy as np
 
-from ..splatting.camera import Camera
-from .fields import MAX_COORDINATE, MAX_LENS, REQUIRED, fields, list_of, numbers, require, text
-from .files import read_image, read_json, read_points, shrink
-from .scene import FOCAL, PRINCIPAL, View, rotation, size_of
+from .fields import (
+    MAX_COORDINATE,
+    MAX_LENS,
+    REQUIRED,
+    fields,
+    list_of,
+    numbers,
+    require,
+    text,
+    typed,
+)
+from .files import make_view, read_image, read_json, read_points
+from .scene import FOCAL, PRINCIPAL, rotation, size_of
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
@@ -35,9 +44,6 @@ PAIR, TRIPLE = partial(PRINCIPAL, shape=(2,)), partial(PRINCIPAL, shape=(3,))
 NAMES = partial(list_of, check=text)
 COUNT = partial(numbers, low=0, high=MAX_LENS, kind=int)
 DATASET = dict.fromkeys(("train_ids", "val_ids", "ids"), (NAMES, ()))
-MOMENT = partial(
-    fields, table={"time_id": (COUNT, None), "warp_id": (COUNT, REQUIRED)}, others=True
-)
 WORLD = {"center": (TRIPLE, REQUIRED), "scale": (FOCAL, REQUIRED)}
 # Lengths are pixels of the full picture, counted from its corner.
 CAMERA = {
@@ -53,7 +59,7 @@ CAMERA = {
 }
 
 
-def read(folder, color, downscale):
+def read(folder, color, downscale, progress):
     """The views of both splits and the points, {"train": ..., "test": ..., "points": ...}.
 
     `downscale` divides the sides of the largest pictures that the folder has.
@@ -62,14 +68,13 @@ def read(folder, color, downscale):
     times = read_times(folder, splits["train"] + splits["test"])
     ratio, rest = choose_pictures(folder, downscale)
     points = place(folder, read_points(folder / "points.npy"))
-    lenses = [read_camera(folder, name) for name in times]
-    centers = place(folder, np.stack([lens.position for lens in lenses]))
-    views = {
-        name: read_view(folder, name, lens, center, time, ratio, rest, color)
-        for lens, center, (name, time) in zip(lenses, centers, times.items())
-    }
+    lenses = {name: read_camera(folder, name) for name in times}
+    views = {}
+    for name, lens in lenses.items():
+        progress(len(views), len(lenses))
+        views[name] = read_view(folder, name, lens, times[name], ratio, rest, color)
     return {
-        **{split: tuple(views[name] for name in names) for split, names in splits.items()},
+        **{split: [views[name] for name in names] for split, names in splits.items()},
         "points": points,
     }
 
@@ -95,15 +100,13 @@ def read_splits(folder):
 def read_times(folder, names):
     """The time in [0, 1] of every view by its name: its time_id over the largest of all."""
     file = folder / "metadata.json"
-    moments = vars(
-        fields(read_json(file, FULL), file, dict.fromkeys(names, (MOMENT, REQUIRED)), others=True)
-    )
-    counted = {
-        name: moment.warp_id if moment.time_id is None else moment.time_id
-        for name, moment in moments.items()
-    }
-    last = max(1, *counted.values())
-    return {name: time / last for name, time in counted.items()}
+    moments, numbered = read_json(file, FULL), {}
+    for name in names:
+        moment = typed(moments.get(name, REQUIRED), f"{file}: {name}", dict)
+        number = moment.get("time_id", moment.get("warp_id", REQUIRED))
+        numbered[name] = COUNT(number, f"{file}: {name}.time_id")
+    last = max(1, *numbered.values())
+    return {name: number / last for name, number in numbered.items()}
 
 
 def choose_pictures(folder, downscale):
@@ -111,9 +114,8 @@ def choose_pictures(folder, downscale):
 
     Smaller pictures are taken where the folder has them; pixels are averaged for the rest.
     """
-    ratios = [
-        int(path.name[:-1]) for path in folder.glob("rgb/[1-9]*x") if path.name[:-1].isdecimal()
-    ]
+    names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
+    ratios = [int(name) for name in names if name.isdecimal() and len(name) < 9]
     require(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)
@@ -134,20 +136,18 @@ def place(folder, x):
 
 
 def read_camera(folder, name):
-    """The fields of a view's camera file, and `focal` [2]: the focal lengths f_x and f_y."""
+    """The fields of a view's camera file."""
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
     if "tangential" in data:  # the name in older files
         data["tangential_distortion"] = data["tangential"]
-    lens = fields(data, file, CAMERA, others=True)
-    lens.focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio])
-    return lens
+    return fields(data, file, CAMERA, others=True)
 
 
-def read_view(folder, name, lens, center, time, ratio, downscale, color):
+def read_view(folder, name, lens, time, ratio, downscale, color):
     """One view from its picture in rgb/<ratio>x, whose sides are then divided by `downscale`."""
-    file = f"rgb/{ratio}x/{name}.png"
-    where = str(folder / file)
+    file = f"rgb/{ratio}x/{name}"
+    where = folder / file
     image = read_image(folder, file, where)
     size = np.array(image.shape[1::-1])
     require(
@@ -156,34 +156,9 @@ def read_view(folder, name, lens, center, time, ratio, downscale, color):
         f"{size_of(image)} pixels; expected 1/{ratio} of image_size in camera/{name}.json",
     )
     stride = lens.image_size / size  # not exactly `ratio` where it does not divide the sides
-    pixels, alpha = shrink(straighten(image, lens, stride), color, downscale, where)
-    focal = lens.focal / (stride * downscale)
-    middle = lens.principal_point / (stride * downscale) - 0.5  # files count from the corner (Q20)
-    R, size = lens.orientation, pixels.shape[1::-1]
-    camera = Camera(R, -R @ center, *focal.tolist(), *middle.tolist(), *size)
-    return View(name, pixels, alpha, camera, time)
-
-
-def straighten(image, lens, stride):
-    """A picture as the lens without distortion would show it."""
-    k, p = lens.radial_distortion, lens.tangential_distortion
-    if not (k.any() or p.any()):
-        return image
-    from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
-
-    v, u = np.indices(image.shape[:2])
-    corner = np.stack([u, v], axis=-1) + 0.5
-    x, y = np.moveaxis((corner * stride - lens.principal_point) / lens.focal, -1, 0)
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
-    x_d = x * radial + (2 * p[0] * x * y + p[1] * (r2 + 2 * x * x))
-    y_d = y * radial + (2 * p[1] * x * y + p[0] * (r2 + 2 * y * y))
-    distorted = np.stack([x_d, y_d], axis=-1) * lens.focal + lens.principal_point
-    u, v = np.moveaxis(distorted / stride - 0.5, -1, 0)
-    return np.stack(
-        [
-            map_coordinates(channel, (v, u), order=1, mode="nearest")
-            for channel in np.moveaxis(image, -1, 0)
-        ],
-        axis=-1,
-    )
+    focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio]) / stride
+    middle = lens.principal_point / stride
+    bent = focal, middle, lens.radial_distortion, lens.tangential_distortion
+    R = lens.orientation
+    T = -R @ place(folder, lens.position)
+    return make_view(name, image, bent, R, T, time, color, downscale, where)

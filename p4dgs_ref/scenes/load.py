@@ -1,31 +1,36 @@
 """Finds a scene by path or name, recognises its format by its files, and reads it."""
 
-import json
 import os
+import warnings
 from pathlib import Path
-from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ..output import write_atomically
+from ..effects import MOTION
 from . import dnerf, hypernerf
 from .fields import MAX_LENS, numbers, require
 from .files import read_json, read_points
-from .scene import MODEL_EFFECTS, Scene, background_color, model_effects
+from .scene import WHITE, Scene, background_color, model_effects
 
 DESCRIPTION = "scene.json"
 
 
 def load_scene(
-    path: str | Path, background: str | ArrayLike = "white", downscale: int = 1
+    path: str | Path,
+    background: ArrayLike = WHITE,
+    downscale: int = 1,
+    progress=lambda done, total: None,
 ) -> Scene:
     """Read a scene from a folder, or one of the packaged scenes by its name.
 
-    A folder of the same name is preferred to a packaged scene. `background` is "white", "black" or
-    three numbers; RGBA pictures are laid over it. `downscale` divides both sides of the images:
-    pixels are averaged in boxes. A scene.json in the folder may list the scene's `effects`; without
-    that list a scene has all of the model's. `dnerf` and `hypernerf` describe the two layouts that
-    are read. Raises SceneError with one line that names the file, the field and what was expected.
+    A folder of the same name is preferred to a packaged scene. RGBA pictures are laid over the
+    colour `background` [3]. `downscale` divides both sides of the images: pixels are averaged in
+    boxes, and less than a box at the right and below is cut off. `progress(done, total)` is called
+    before every picture. A scene.json in the folder may list the scene's `effects`; without that
+    list a scene has all of the model's, or none of motion where no picture has a time. `dnerf` and
+    `hypernerf` describe the layouts that are read. Raises SceneError with one line that names the
+    file, the field and what was expected. Warns of fields that are not read, of colours that look
+    as if they were multiplied by alpha, and where no picture has a time.
     """
     folder = find_scene(path)
     downscale = numbers(downscale, "downscale", 1, MAX_LENS, kind=int)
@@ -34,14 +39,17 @@ def load_scene(
     )
     color = background_color(background, effects, folder)
     read = hypernerf.read if is_hypernerf(folder) else dnerf.read
-    views: dict[str, Any] = read(folder, color, downscale)
+    views = read(folder, color, downscale, progress)
+    if views.pop("still", False):
+        warnings.warn(f"{folder}: no picture has a time: all times are 0, and nothing moves")
+        effects = {*effects} - {*MOTION}
     return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **views)
 
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
     is_dnerf = os.path.lexists(folder / "transforms_train.json")
-    return os.path.lexists(folder / hypernerf.SPLITS) and not is_dnerf
+    return not is_dnerf and os.path.lexists(folder / hypernerf.SPLITS)
 
 
 def read_points_for(scene, path):
@@ -57,18 +65,6 @@ def read_scene_json(folder: Path) -> dict:
     """The scene.json of a scene's folder; empty where there is none."""
     file = folder / DESCRIPTION
     return read_json(file) if os.path.lexists(file) else {}
-
-
-def list_effects(folder: Path, effects: list[str]) -> Path:
-    """Write a scene's list of effects to its scene.json and return that file.
-
-    Everything else in the file stays, and so do effects of the simulator alone.
-    """
-    file, description = folder / DESCRIPTION, read_scene_json(folder)
-    drawn = [name for name in description.get("effects") or () if name not in MODEL_EFFECTS]
-    text = json.dumps({**description, "effects": [*effects, *drawn]}, indent=1) + "\n"
-    write_atomically(file, lambda opened: opened.write(text.encode()))
-    return file
 
 
 def packaged_folder() -> Path:

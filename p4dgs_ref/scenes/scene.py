@@ -3,8 +3,8 @@
 Everything is checked when a scene is made, so that training and evaluation can rely on it.
 """
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +21,6 @@ from .fields import (
     fields,
     list_of,
     numbers,
-    printable,
     require,
 )
 
@@ -37,7 +36,7 @@ MODEL_EFFECTS = (
 )
 SIMULATOR_EFFECTS = (*MODEL_EFFECTS, "texture", "diffuse", "specular")
 
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
+WHITE = (1.0, 1.0, 1.0)
 # Files print six or seven digits. A scaled or mirrored matrix is further from a rotation than this.
 ROTATION_TOLERANCE = 1e-3
 
@@ -91,10 +90,10 @@ class Scene:
     """
 
     name: str
-    train: tuple[View, ...]
-    test: tuple[View, ...] = ()
+    train: Sequence[View]  # made a tuple, like `test`
+    test: Sequence[View] = ()
     effects: tuple[str, ...] = MODEL_EFFECTS
-    background: np.ndarray = field(default_factory=lambda: np.ones(3))  # [3], made float32
+    background: ArrayLike = WHITE  # [3], made float32
     source: Path | None = None  # the folder it was read from
     points: np.ndarray | None = None  # [A, 3]  where anchors start; None: at random places
 
@@ -102,7 +101,8 @@ class Scene:
         where = self.source or self.name
         effects = model_effects(self.effects, f"{where}: effects")
         checked = {
-            "name": printable(self.name),
+            # bytes in the name of a folder that are not UTF-8 are shown as escapes
+            "name": str(self.name).encode(errors="backslashreplace").decode(),
             "train": tuple(self.train),
             "test": tuple(self.test),
             "effects": effects,
@@ -114,6 +114,17 @@ class Scene:
         for view in self.train + self.test:
             check_view(view, self.train[0], f"{where}: {view.name}")
 
+    @property
+    def center(self):
+        """The point [3] nearest to the optical axes of the training cameras, by least squares.
+
+        Where the axes are all but parallel, their common direction counts from the origin.
+        """
+        cameras = [view.camera for view in self.train]
+        across = [np.eye(3) - np.outer(c.R[2], c.R[2]) for c in cameras]  # an axis is R[2]
+        total = sum(A @ c.center for A, c in zip(across, cameras))
+        return np.linalg.lstsq(sum(across), total, rcond=1e-3)[0]
+
     @classmethod
     def from_arrays(
         cls,
@@ -123,7 +134,7 @@ class Scene:
         *,
         test: Iterable[int] = (),
         effects: Collection[str] | None = None,
-        background: str | ArrayLike = "white",
+        background: ArrayLike = WHITE,
         name: str = "arrays",
     ) -> "Scene":
         """Make a scene from n images, cameras and times in [0, 1] instead of files.
@@ -132,12 +143,11 @@ class Scene:
         (not premultiplied) and is laid over the background. `test` holds the indices of the views
         that are not trained on. Without `effects` the scene has all of the model's.
         """
-        images, cameras = list(images), list(cameras)
-        moments = list_of(list(times), f"{name}: times", SHARE)
+        images, cameras, times = list(images), list(cameras), list(times)
         require(
-            len(images) == len(cameras) == len(moments),
+            len(images) == len(cameras) == len(times),
             f"{name}: images, cameras, times",
-            f"{len(images)}, {len(cameras)} and {len(moments)}; expected equal numbers",
+            f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
         )
         held_back = list_of(
             list(test),
@@ -153,38 +163,28 @@ class Scene:
                 camera,
                 time,
             )
-            for i, (image, camera, time) in enumerate(zip(images, cameras, moments))
+            for i, (image, camera, time) in enumerate(zip(images, cameras, times))
         ]
-        return cls(
-            name,
-            train=tuple(view for i, view in enumerate(views) if i not in held_back),
-            test=tuple(view for i, view in enumerate(views) if i in held_back),
-            effects=listed,
-            background=color,
-        )
+        train = [view for i, view in enumerate(views) if i not in held_back]
+        return cls(name, train, [views[i] for i in sorted({*held_back})], listed, color)
 
 
-def check_effects(names, where):
-    """A list of effects in the order of SIMULATOR_EFFECTS; None stands for all of the model's."""
+def check_effects(names, where, known=SIMULATOR_EFFECTS):
+    """Those of a list of effects that are `known`, in that order; None stands for the model's."""
     listed = list_of(
         MODEL_EFFECTS if names is None else names,
         where,
         partial(choice, words=SIMULATOR_EFFECTS),
     )
-    return tuple(effect for effect in SIMULATOR_EFFECTS if effect in listed)
+    return tuple(effect for effect in known if effect in listed)
 
 
-def model_effects(names, where):
-    """The effects of a list that the model knows, in the order of MODEL_EFFECTS."""
-    return tuple(effect for effect in check_effects(names, where) if effect in MODEL_EFFECTS)
+model_effects = partial(check_effects, known=MODEL_EFFECTS)
 
 
 def background_color(background, effects, where):
-    """The background as three float32 in [0, 1]; black where the scene does not list the effect."""
-    color = COLOR(
-        BACKGROUNDS.get(background, background) if isinstance(background, str) else background,
-        f"{where}: background, white, black or three numbers",
-    )
+    """The background as float32; black where the scene does not list the effect."""
+    color = COLOR(background, f"{where}: background")
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 
@@ -196,9 +196,8 @@ def size_of(image):
 def as_float(image, where):
     """The pixels as float32, unsigned integers divided by their largest value."""
     image = np.asarray(image)
-    of_pixels = image.ndim == 3 and image.shape[2] in (3, 4) and 0 not in image.shape
     require(
-        of_pixels and image.dtype.kind in "uf",
+        image.ndim == 3 and image.shape[2] in (3, 4) and image.size and image.dtype.kind in "uf",
         where,
         f"{image.dtype} of shape {image.shape}; expected (H, W, 3) or (H, W, 4), uint8 or floats "
         "in [0, 1]",

@@ -20,6 +20,7 @@ Axis letters: K ranks of a chunk, G tiles, P pixels of a tile, M listed pairs.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,13 @@ GROUP = 2**14  # pixels of the tiles that are evaluated together
 CACHED = 2**16  # alphas that are composited as soon as they are computed, while in the cache
 PIECE = 2**14  # pairs whose gradients are computed together, which bounds the memory
 LOG_OF_ZERO = -1e4  # stands for the logarithm of an opacity of 0: its exp is 0 in every dtype
+
+
+class Halves(NamedTuple):
+    """A picture with too many pairs for one list: `backward` draws its two halves again."""
+
+    cut: int  # the first row of pixels of the lower half
+    inputs: list  # the arguments of `forward` for each half
 
 
 def forward(
@@ -49,12 +57,23 @@ def forward(
 ):
     """Return image [height, width, 3], transmittance [height, width] and what `backward` needs.
 
-    With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited.
+    With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited. A
+    picture with more than MAX_PAIRS is drawn in halves, and these in halves, one after the other,
+    down to single rows of tiles.
     """
     dtype, side = np.dtype(settings.dtype), settings.tile
     lists = bin_splats(
         mean2d, cov2d, conic, alpha, depth, visible, width, height, settings, occlusion
     )
+    if lists is None:
+        looks, cut = (cov2d, conic, alpha, color, depth, visible, background), height // side // 2
+        cut = max(cut, 1) * side
+        inputs = [
+            (mean2d - (0, top), *looks, rows, width, settings, occlusion)
+            for top, rows in ((0, cut), (cut, height - cut))
+        ]
+        pictures = zip(*(forward(*half, keep=False)[0] for half in inputs))
+        return tuple(map(np.concatenate, pictures)), Halves(cut, inputs) if keep else None
     count = np.bincount(lists.tile, minlength=lists.columns * lists.rows)
     start, M = np.cumsum(count) - count, len(lists.row)
     splats = columns_of(mean2d, conic, alpha)
@@ -99,6 +118,10 @@ def backward(saved, image_bar):
 
     Pairs that are not listed, or lie behind an opaque tile, contribute nothing.
     """
+    if isinstance(saved, Halves):
+        parts = zip(saved.inputs, np.split(image_bar, [saved.cut]))
+        upper, lower = (backward(forward(*half)[1], half_bar) for half, half_bar in parts)
+        return {name: bar + lower[name] for name, bar in upper.items()}
     chunks, T, background, occlusion, lists, splats, paint, settings = saved
     g = to_tiles(np.asarray(image_bar, settings.dtype), lists, settings.tile)
     behind = np.zeros_like(T)

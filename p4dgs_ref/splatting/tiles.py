@@ -10,10 +10,6 @@ from .compositing import depth_order
 MAX_PAIRS = 2**23
 
 
-class TooManyPairs(ValueError):
-    """Lists that would need more memory than `bin_splats` may take."""
-
-
 class Lists(NamedTuple):
     """K pairs of a Gaussian and a tile, tile by tile, and front to back within a tile."""
 
@@ -30,8 +26,8 @@ def bin_splats(
 
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
-    occlusion the Gaussians of a tile stand in the order of their index. Raises TooManyPairs where
-    there are more than MAX_PAIRS, before they take memory.
+    occlusion the Gaussians of a tile stand in the order of their index. Returns None, before the
+    pairs take memory, where there are more than MAX_PAIRS in more than one row of tiles.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -43,11 +39,8 @@ def bin_splats(
     first, beyond = np.clip(ends, 0, (columns, rows)).astype(np.int64)
     extent = np.maximum(beyond - first, 0) * (low <= high).all(axis=1, keepdims=True)
     count = extent[:, 0] * extent[:, 1]
-    if count.sum() > MAX_PAIRS:
-        raise TooManyPairs(
-            f"{count.sum()} pairs of Gaussians and tiles: expected at most {MAX_PAIRS}; smaller "
-            "pictures, or fewer or smaller Gaussians, have fewer"
-        )
+    if count.sum() > MAX_PAIRS and rows > 1:
+        return None
     row, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian
     at, tile_x = runs(first[row, 0], extent[row, 0])
     rank, tile_y = row[at], tile_y[at]  # place in depth order: a sort key

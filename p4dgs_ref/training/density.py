@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
-MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment
+MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (Q29)
 
 
 @dataclass
@@ -129,7 +129,7 @@ def reseed(p, first, second, dead, statistics, rng):
     """
     k = p["O_a"].shape[1]
     weight = statistics.gradient.ravel() * ~np.repeat(dead, k)
-    if not dead.any() or not weight.any():
+    if not weight.any():
         return
     parents = rng.choice(len(weight), size=dead.sum(), p=weight / weight.sum())
     copied = {name: p[name][parents // k] for name in ROWS}

@@ -5,10 +5,10 @@ import io
 import json
 import time
 import warnings
-import zlib
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +29,7 @@ CHECKPOINT = "checkpoint.npz"
 MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 HOW_TO_RESUME = "--resume (resume=True) goes on from it, another folder starts anew"
 # Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
-RELEASE = f"checkpoint 5, fields {FIELDS}".encode()
+RELEASE = f"checkpoint 6, fields {FIELDS}".encode()
 
 
 class RunError(ValueError):
@@ -46,27 +46,27 @@ def train(
     folder: str | Path | None = None,
     resume: bool = False,
     stream: TextIO | None = None,
-    save_every: float = SAVE_EVERY,
     **changes: Any,
 ) -> Model:
     """Fit a scene and return the model, ready to be rendered or encoded.
 
     `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
     [A, 3] in scene units, without them at those of the scene, and at random where it has none. In
-    `folder`, which must exist, a checkpoint is kept and renewed every `save_every` seconds; with
+    `folder`, which must exist, a checkpoint is kept and renewed every SAVE_EVERY seconds; with
     `resume` training goes on from it. The progress line goes to `stream`.
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
     first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
-    training views, of pictures and starting points that are of no use, and where what moves is
-    hardly better than in the mean of the training pictures.
+    training views, of pictures and starting points that are of no use, where anchors stop growing
+    because a file could not hold more, of a model that draws nothing, and of one that has little
+    of what moves.
     """
     preset = choose(preset, changes)
     for sentence in advice.before(scene, preset, seed, points):
         warnings.warn(sentence, stacklevel=2)
-    trainer = fit(scene, preset, seed, settings, points, folder, resume, stream, save_every)
+    trainer = fit(scene, preset, seed, settings, points, folder, resume, stream)
     if sentence := advice.after(trainer):
         warnings.warn(sentence, stacklevel=2)
     return trainer.model()
@@ -122,7 +122,7 @@ def fingerprint(views):
     crc = 0
     for view in views:
         for part in (view.image, *vars(view.camera).values(), view.time):
-            crc = zlib.crc32(np.asarray(part).tobytes(), crc)
+            crc = crc32(np.asarray(part).tobytes(), crc)
     return crc
 
 
@@ -134,8 +134,9 @@ def identity(trainer):
         "effects": trainer.design.effects,
         "design": vars(trainer.design),
         "background": trainer.scene.background.tolist(),
-        **{f"settings.{name}": value for name, value in trainer.settings._asdict().items()},
+        "settings": trainer.settings,
         "scene": fingerprint(trainer.scene.train),
+        "points": crc32(np.array(trainer.points, float)),  # of NaN without points
     }
 
 

@@ -73,14 +73,13 @@ def linear_values(p):
     return concatenate_groups(p["f_a"], s_a, l_a, p["O_a"])
 
 
-def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
+def loss(p, design, networks, grids, inputs, view, u):
     """The Losses of one view, what was Rendered, for density control, and `back`.
 
     `networks` and `grids` are views into the Parameters p, `inputs` are StepInputs. u [A, n] is the
     noise in [-1/2, 1/2); rendering and rate share it (Q23), and stage 1 does not use it.
-    `truth_moments` are the `ssim.moments` of the view's image, if they are at hand. back() returns
-    the gradients of L_total as Parameters of the same layout, and those of the splats' mean2d
-    [N, 2].
+    back() returns the gradients of L_total as Parameters of the same layout, and those of the
+    splats' mean2d [N, 2].
     """
     stage, values = inputs.stage, linear_values(p)  # [A, n]
     bits = L_rate = 0.0
@@ -108,7 +107,7 @@ def loss(p, design, networks, grids, inputs, view, u, truth_moments=None):
     )
     truth = view.image.astype(image.dtype)
     (L_render, L1, D_SSIM), back_image = with_backward(
-        render_loss, image, truth, inputs.lambda_ssim, truth_moments
+        render_loss, image, truth, inputs.lambda_ssim
     )
     if stage == 4:
         (bits, L_rate), back_rate = rate(noisy, ctx, grids, inputs.mask, design)

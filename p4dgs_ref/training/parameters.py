@@ -1,6 +1,5 @@
 """Named arrays that share one flat vector, Adam, which moves them all at once, and its schedule."""
 
-from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -63,7 +62,7 @@ def random_layers(rng, name, shapes):
     """
     arrays = {}
     for i, (rows, columns) in enumerate(shapes):
-        bound = 1 / np.sqrt(max(rows, 1))
+        bound = 1 / np.sqrt(rows)
         arrays[f"{name}.W{i}"] = rng.uniform(-bound, bound, (rows, columns))
         arrays[f"{name}.b{i}"] = rng.uniform(-bound, bound, columns)
     return arrays
@@ -83,9 +82,7 @@ class Adam:
     def step(self, parameters, gradients, rate_of):
         """Move `parameters` in place.
 
-        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part. A
-        gradient whose square would overflow (above 9e18 in float32, 6e153 in float64) counts as the
-        largest whose square does not.
+        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part.
         """
         rates = {}
         for name in self.steps:
@@ -94,16 +91,12 @@ class Adam:
             n = self.steps[name]
             # Both moments start at zero; dividing by the sum of their weights corrects for that.
             rates[name] = rate * sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if rate else 0.0
-        m, v = self.first.vector, self.second.vector
-        # Beyond this the square of a gradient would overflow, and v would become inf - inf.
-        largest = np.sqrt(np.finfo(v.dtype).max) / 2
-        g = np.clip(gradients.vector, -largest, largest)
+        m, v, g = self.first.vector, self.second.vector, gradients.vector
         m += (1 - BETA_1) * (g - m)
         v += (1 - BETA_2) * (g * g - v)
         parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(rates.get)
 
 
-@lru_cache
 def exponential(step, first, last, until, start=0):
     """The learning rate at `step`: geometric between `first` at `start` and `last` at `until`.
 

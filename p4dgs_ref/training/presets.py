@@ -4,10 +4,11 @@ A preset is a column: `Preset` itself is that of `paper_synthetic`, and the othe
 `p4dgs-ref presets tiny` prints them side by side.
 """
 
+import re
 from dataclasses import dataclass, replace
 
-from ..limits import MAX_ENTRIES, MAX_LAYERS, MAX_NUMBERS, MAX_OF, MAX_WIDTH
-from ..model import declared_numbers
+from ..limits import MAX_ENTRIES, MAX_LAYERS, MAX_OF, MAX_WIDTH
+from ..model import beyond_a_file
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
@@ -219,22 +220,23 @@ def widths(most):
     )
 
 
-# What a field must be, in words and as a test. Of all others, a number that is not negative.
+# What a field must be, in words and as a test. Of all others, a number that is not negative. With
+# larger rates, lengths and first numbers, or with smaller steps Q, a training ends with weights
+# beyond float16 or |f / q| beyond 2^31, which no file holds.
 REQUIREMENTS = {name: between(1, most) for name, most in MAX_OF.items()} | by_field(
     {
-        "anchors extent voxel grow_every grow_init grow_hierarchy": (
-            f"a positive number up to {MAX_VALUE:g}",
-            lambda value: 0 < value <= MAX_VALUE,
-        ),
+        "anchors grow_every grow_init grow_hierarchy": between(1, MAX_VALUE),
+        "extent voxel": between(1e-9, 1e4),
+        "feature_std opacity_bias deformation_gain": between(0, 1e3),
         "hidden deformation context": widths(MAX_LAYERS),
         "grid_3d grid_2d": widths(16),
         "table_3d table_2d": between(1, MAX_ENTRIES),
         "tau_alpha lambda_ssim": between(0, 1),
-        "Q_f Q_s Q_l Q_O": between(1e-13, 1e13),
+        "Q_f Q_s Q_l Q_O": between(1e-5, 1e5),
         "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q": (
-            "first,last, two positive rates or 0,0",
+            "first,last, two positive rates up to 1 or 0,0",
             lambda ends: (
-                len(ends) == 2 and all(0 <= n <= 1e38 for n in ends) and all(ends) == any(ends)
+                len(ends) == 2 and all(0 <= n <= 1 for n in ends) and all(ends) == any(ends)
             ),
         ),
         "stage_ends": (
@@ -268,7 +270,21 @@ def choose(preset, changes=None):
         if preset not in PRESETS:
             raise ValueError(f"preset {preset!r}: expected one of {', '.join(PRESETS)}")
         preset = PRESETS[preset]
-    changed = replace(preset, **read_changes(preset, changes))
+    values = {}
+    for name, value in (changes or {}).items():
+        if name not in FIELDS:
+            raise ValueError(
+                f"field {name!r} of preset {preset.name}: no such field; `p4dgs-ref presets` lists "
+                "them"
+            )
+        like = getattr(preset, name)
+        try:
+            values[name] = read_value(value, like)
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(
+                f"field {name!r}: expected a value like {like!r}, got {value!r}"
+            ) from None
+    changed = replace(preset, **values)
     for name in FIELDS:
         value = getattr(changed, name)
         expected, is_met = REQUIREMENTS.get(name, between(0, MAX_VALUE))
@@ -278,35 +294,11 @@ def choose(preset, changes=None):
         raise ValueError(
             "field 'grid_3d': expected a level here or in grid_2d; the context has no other input"
         )
-    parts = declared_numbers(design_of(changed, MODEL_EFFECTS), changed.anchors)
-    if sum(parts.values()) > MAX_NUMBERS:
-        raise ValueError(
-            f"fields 'anchors', 'grid_3d', 'hidden' and others: expected at most {MAX_NUMBERS} "
-            f"numbers in a model, as many as a file may hold, got {parts}"
-        )
+    if changed.grow_from > changed.grow_until:
+        raise ValueError(f"field 'grow_until': expected at least grow_from, {changed.grow_from}")
+    if excess := beyond_a_file(design_of(changed, MODEL_EFFECTS), changed.anchors):
+        raise ValueError(f"fields 'anchors', 'grid_3d', 'hidden' and others: {excess}")
     return changed
-
-
-def read_changes(preset, changes):
-    """The values {field: value} of changes to a preset, with the types of its values.
-
-    Raises ValueError for an unknown field, and for a value of another type.
-    """
-    values = {}
-    for key, value in (changes or {}).items():
-        if key == "name" or key not in vars(preset):
-            raise ValueError(
-                f"field {key!r} of preset {preset.name}: no such field; `p4dgs-ref presets` lists "
-                "them"
-            )
-        like = getattr(preset, key)
-        try:
-            values[key] = read_value(value, like)
-        except (ValueError, KeyError, TypeError):
-            raise ValueError(
-                f"field {key!r}: expected a value like {like!r}, got {value!r}"
-            ) from None
-    return values
 
 
 def read_value(value, like):
@@ -317,6 +309,8 @@ def read_value(value, like):
         return tuple(read_value(part, like[0] if like else 0) for part in value)
     kind = type(like)
     if isinstance(value, str):
+        if re.search("[^!-~]|_", value):  # Python reads "1_0" as 10, and "4 " as 4
+            raise ValueError
         return {"true": True, "false": False}[value.lower()] if kind is bool else kind(value)
     # True is not a number here, and a number with a fraction is not an integer
     if isinstance(value, bool) is not (kind is bool) or kind is str or kind(value) != value:

@@ -6,7 +6,8 @@ from contextlib import suppress
 
 import numpy as np
 
-ROW_EVERY = 20  # most iterations between two rows of training.csv; a short training has more rows
+from ..limits import counted
+
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 
 
@@ -29,23 +30,33 @@ class Progress:
     def __call__(self, trainer, losses, rendered, view):
         done, total = trainer.iteration, trainer.preset.iterations
         stage, decibel = trainer.preset.stage(done - 1), psnr(rendered.image, view.image)
-        if done % min(ROW_EVERY, max(total // 50, 1)) == 0 or done == total:
-            counts = trainer.primitives, len(rendered.index)
-            trainer.history.append([done, stage, losses.L_total, decibel, losses.L_rate, *counts])
+        if not done % min(20, max(total // 50, 1)) or done == total:  # a row of training.csv
+            trainer.history.append(
+                [
+                    done,
+                    stage,
+                    losses.L_total,
+                    decibel,
+                    losses.L_rate,
+                    trainer.primitives,
+                    len(rendered.index),
+                ]
+            )
         self.steps += 1
         seconds = time.monotonic() - self.shown
-        due = seconds > 0.2 if self.live else done % max(total // 12, 1) == 0
-        if self.stream is None or not (due or done == total):
+        due = seconds > 0.2 if self.live else not done % max(total // 12, 1)
+        if self.stream is None or not (due or done in (1, total)):
             return
-        ms = 1e3 * seconds / self.steps
-        self.shown, self.steps = time.monotonic(), 0
         # The most important numbers come first, because a narrow terminal cuts the line.
+        each = seconds / self.steps
         line = (
-            f"{done:{len(str(total))}d}/{total}  {1e-3 * ms * (total - done):.0f} s left  "
-            f"stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB  "
-            f"{losses.L_rate:.2f} bits/parameter  {trainer.primitives} anchors  "
-            f"{len(rendered.index)} Gaussians  {ms:.1f} ms/step"
+            f"{done:{len(str(total))}d}/{total}  {each * (total - done):.0f} s left  stage {stage}"
+            f"  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at {view.camera.width}x"
+            f"{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
+            f"{counted(trainer.primitives, 'anchor')}  "
+            f"{counted(len(rendered.index), 'Gaussian')}  {1e3 * each:.1f} ms/step"
         )
+        self.shown, self.steps = time.monotonic(), 0
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
         end = "" if self.live and done < total else "\n"

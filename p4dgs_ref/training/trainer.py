@@ -4,20 +4,19 @@ A random view, its loss and gradients, a check for NaN, a step of Adam, and dens
 trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
 """
 
-from functools import lru_cache
+import warnings
 
 import numpy as np
 
-from ..equations import hash_grid, ssim
-from ..model import Anchors, Model, bounding_box, snap, split
+from ..equations import hash_grid
+from ..model import Anchors, Model, beyond_a_file, bounding_box, snap, split
+from ..scenes.fields import require
 from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
 from .parameters import Adam, Parameters, exponential
 from .watch import NotFinite, first_bad, first_not_finite
 
-# Bytes of moments for SSIM that are kept: those of 682 views of 64x64, of 4 of 800x800.
-MAX_MOMENT_BYTES = 2**28
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
 LEARNING_RATES = {
     "x_a": "lr_x",
@@ -71,10 +70,8 @@ class Trainer:
         self.iteration = 0
         self.order = []  # the views still to be visited, last first
         self.history = []  # rows of training.csv
-        # The moments of the truth for SSIM, four float64 images, are the same at every visit.
-        kept = MAX_MOMENT_BYTES // (32 * scene.train[0].image.size)
-        self.moments_of = lru_cache(kept)(lambda view: ssim.moments(view.image))
-        self.begin(scene.points if points is None else points)
+        self.points = scene.points if points is None else points
+        self.begin(self.points)
 
     def begin(self, points):
         """Draw the first parameters; anchors start at points [A, 3], or at random without them."""
@@ -83,6 +80,8 @@ class Trainer:
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
+        excess = beyond_a_file(self.design, self.primitives)
+        require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
     def start(self, parameters):
@@ -176,7 +175,6 @@ class Trainer:
             self.step_inputs(),
             view,
             u,
-            self.moments_of(view),
         )
         losses, rendered, back = objective.loss(*inputs)
         gradients, mean2d_bar = back()
@@ -213,9 +211,13 @@ class Trainer:
         elif preset.grow == "reseed" and now >= preset.grow_until:
             self.keep_rows(~dead)  # too late to learn something new: they only cost bytes
         elif preset.grow == "scaffold" and growing:
-            self.keep_rows(~dead, density.grow(p, statistics, preset, self.rng))
+            added = density.grow(p, statistics, preset, self.rng)
+            if beyond_a_file(self.design, np.sum(~dead) + len(added["x_a"])):
+                warnings.warn("no more anchors grow: a file could not hold them", stacklevel=2)
+                added = None
+            self.keep_rows(~dead, added)
             log_s = self.parameters["log_s"]
-            log_s[...] = np.minimum(log_s, density.MAX_LOG_SCALE)
+            np.minimum(log_s, density.MAX_LOG_SCALE, out=log_s)
         if preset.grow != "scaffold":
             self.statistics = density.Statistics.empty(*self.mask.shape)
         elif growing or now >= preset.mask_from:
@@ -268,8 +270,9 @@ class Trainer:
     def restore(self, arrays, values):
         """Take over copies of what `state` returned."""
         self.adopt(Parameters(tagged(arrays, "p/")))
-        self.adam.first = Parameters(tagged(arrays, "m/"))
-        self.adam.second = Parameters(tagged(arrays, "v/"))
+        self.adam.first, self.adam.second = (
+            Parameters(tagged(arrays, tag)) for tag in ("m/", "v/")
+        )
         self.adam.steps = {**values["steps"]}
         self.statistics = density.Statistics(**tagged(arrays, "stat/"))
         self.order, self.iteration = [*values["order"]], values["iteration"]

@@ -79,6 +79,8 @@ def first_not_finite(inputs):
         # a network that runs inside Eq. (5) is named with it
         where = f"equation {', its '.join(map(repr, running))}"
         running.pop()
+        if value is None:  # the call raised, such as an interrupt
+            return
         if name == "forward":
             value = EQUATIONS[key.split(",")[0]].named(value[0])
         else:

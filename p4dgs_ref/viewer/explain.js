@@ -1,15 +1,18 @@
-// One anchor in words and numbers: how it is stored, and how it is drawn, beside the equations.
+// Figures and tables of the page: how one pixel adds up, what one number costs, one anchor in words
+// and numbers, how files of other lambda compare.
 "use strict";
 
 (function (exported) {
   const { p4dgs, draw, layers, requantise } = globalThis;
+  const { UNITS } = requantise;
 
   const NAMES = { f_a: "feature f", s_a: "scale s", l_a: "offset scale l", O_a: "offset O" };
   const AXES = "xyz";
   const MOST_BARS = 64; // of a feature
-  const MOST_INTEGERS = 30; // on each side of a mean
   const MOST_ROWS = 200;
   const MOST_CHILDREN = 32;
+  const MOST_SPLATS = 16; // of a pixel
+  const [WIDE, TALL] = [320, 150]; // of a figure
 
   // --- elements of the page ---------------------------------------------------------------------
   /** A new element with attributes and children, which are elements or texts. */
@@ -46,13 +49,13 @@
     return size >= 1e5 || size < 1e-4 ? v.toExponential(2) : String(Number(v.toPrecision(4)));
   }
 
-  // --- pictures of an anchor --------------------------------------------------------------------
-  /** Bars for numbers, up and down where some are negative; `marked` is the number of one of them.
-   *  `ends` stand below the first and the last one. */
-  function bars(values, said, ends, marked = -1) {
-    const [high, low] = [Math.max(...values, 0), Math.max(...values.map((v) => -v), 0)];
+  // --- bars and curves --------------------------------------------------------------------------
+  /** Bars for numbers, up and down where some are negative. `ends` stand below the first and the
+   *  last one, `classOf(i)` is the class of bar i; one of `full` is as high as the picture. */
+  function bars(values, said, ends, classOf = () => "", full = 0) {
+    const [high, low] = [Math.max(...values, full), Math.max(...values.map((v) => -v), 0)];
     const columns = values.map((v, i) => {
-      const bar = element("b", i === marked ? { class: "marked" } : {});
+      const bar = element("b", { class: classOf(i) });
       const part = 100 / (high + low || 1);
       bar.style.height = `${part * Math.abs(v)}%`;
       bar.style.bottom = `${part * Math.min(low, low + v)}%`;
@@ -63,6 +66,115 @@
     return element("figure", {}, picture, below, element("small", {}, said));
   }
 
+  /** A drawing of WIDE x TALL from the text of its elements. */
+  function drawing(said, parts) {
+    const figure = element("figure");
+    const head = `<svg viewBox="0 0 ${WIDE} ${TALL}" role="img" aria-label="${said}">`;
+    figure.innerHTML = `${head}${parts.join("")}</svg>`;
+    return figure;
+  }
+
+  // --- one pixel --------------------------------------------------------------------------------
+  /** How the splats at a pixel add up to its colour: those of the first `count` in `order`, from
+   *  front to back, are painted. Only those that weigh the most have bars. */
+  function pixel({ splats, model }, order, count, [u_0, v_0]) {
+    const { mean2d, conic, alpha, color } = splats;
+    let T = 1;
+    const all = order.map((n, i) => {
+      const [u, v] = [u_0 - mean2d[2 * n], v_0 - mean2d[2 * n + 1]];
+      const E = (conic[3 * n] * u * u + conic[3 * n + 2] * v * v) / 2 + conic[3 * n + 1] * u * v;
+      const one = { i, alpha: Math.min(alpha[n] * Math.exp(-E), 0.99), T };
+      T *= 1 - one.alpha;
+      return { ...one, weight: one.alpha * one.T, color: draw.rgb(color.slice(3 * n, 3 * n + 3)) };
+    });
+    const least = all.map(({ weight }) => weight).sort((a, b) => b - a)[MOST_SPLATS] ?? 0;
+    const few = all.filter(({ weight }) => weight > Math.max(least, 0.002));
+    const isPainted = ({ i }) => i < count;
+    const classOf = (i) => (isPainted(few[i]) ? "" : "later");
+    const row = (key, said) => bars(few.map((one) => one[key]), said, [], classOf, 1);
+    const rest = all.filter(isPainted).reduce((left, one) => left - one.weight, 1);
+    const part = ([weight, color]) =>
+      element("i", { style: `flex-grow: ${weight}; background: ${color}` });
+    const painted = few.filter(isPainted).map(({ weight, color }) => [weight, color]);
+    const mix = [...painted, [rest, draw.rgb(model.header.background)]].map(part);
+    const added = few.filter(isPainted).map(({ weight }) => weight.toFixed(2)).join(" + ") || "0";
+    return [
+      row("alpha", "α: how opaque each Gaussian is at this pixel, the nearest first"),
+      row("T", "T: what those in front of it let through, the product of their 1 − α"),
+      row("weight", `weight = α T: ${added}; the background gets ${rest.toFixed(2)}`),
+      element("div", { class: "mix" }, ...mix),
+      element("small", {}, "The pixel: their colours, each as wide as its weight"),
+    ];
+  }
+
+  // --- one number -------------------------------------------------------------------------------
+  /** Number `column` of anchor `a`: its value v in the file, and of a model, which may have another
+   *  context, its mean, deviation and step. */
+  function numberOf(file, model, a, column) {
+    const at = a * model.columns + column;
+    const g = model.groups.findLastIndex(({ first }) => first <= column);
+    const q = model.q[4 * a + g];
+    const mu = (model.mu_units[at] / UNITS.mu) * q;
+    const sigma = 2 ** (model.sigma_units[at] / UNITS.sigma) * q;
+    return { v: file.symbols[at] * file.q[4 * a + g], mu, sigma, q };
+  }
+
+  /** The bell of Eq. (12) and the bin of Eq. (11) that v is rounded into. The axis ends `reach` on
+   *  each side of `middle`; the bell is always as high. The coder's own tables give the bits. */
+  function bell({ v, mu, sigma, q }, { middle, reach }) {
+    const symbol = p4dgs.roundHalfEven(v / q);
+    const units = [(UNITS.mu * mu) / q, UNITS.sigma * Math.log2(sigma / q)].map(Math.round);
+    const bits = requantise.symbolBits(symbol, ...units);
+    const x = (value) => (WIDE / 2) * (1 + Math.min(Math.max((value - middle) / reach, -1), 1));
+    const y = (value) => TALL - 20 - 110 * Math.exp(-(((value - mu) / sigma) ** 2) / 2);
+    const [left, right] = [(symbol - 0.5) * q, (symbol + 0.5) * q];
+    const path = (from, to) => {
+      const points = Array.from({ length: 101 }, (_, i) => from + (i / 100) * (to - from));
+      return points.map((value) => `${x(value).toFixed(1)},${y(value).toFixed(1)}`).join(" ");
+    };
+    const base = TALL - 20;
+    const bin = `${x(left)},${base} ${path(left, right)} ${x(right)},${base}`;
+    const share = 2 ** -bits;
+    const said =
+      `${digits(v)} becomes ${symbol} · q = ${digits(symbol * q)}. The bin has ` +
+      `${digits(100 * share)} % of the bell: ${bits.toFixed(2)} bits.`;
+    const parts = [
+      `<polygon points="${bin}" class="bin" />`,
+      `<polyline points="${path(middle - reach, middle + reach)}" />`,
+      `<path d="M0 ${base}H${WIDE}M${x(v)} ${base}v8M${x(mu)} ${base}V${y(mu)}" class="thin" />`,
+      `<text x="${x(v)}" y="${TALL}">value</text>`,
+      `<text x="${x(mu)}" y="${y(mu) - 5}">μ</text>`,
+    ];
+    return [drawing(said, parts), element("p", { class: "result" }, said)];
+  }
+
+  // --- files of other lambda --------------------------------------------------------------------
+  /** Files {data, lambda_rate, psnr_db} in the order of lambda, as points over their bytes: those
+   *  in the set `visited`, one of them marked. The axis begins at `fixed`, the networks alone. */
+  function curve(files, visited, marked, fixed) {
+    const most = Math.max(...files.map(({ data }) => data.length));
+    const psnr = files.map(({ psnr_db }) => psnr_db);
+    const [low, high] = [Math.min(...psnr), Math.max(...psnr)];
+    const x = (bytes) => 10 + ((WIDE - 50) * (bytes - fixed)) / (most - fixed);
+    const y = (value) => 25 + ((TALL - 60) * (high - value)) / (high - low || 1);
+    const seen = files.filter((one) => visited.has(one));
+    const places = seen.map(({ data, psnr_db }) => [x(data.length), y(psnr_db)]);
+    const point = ([u, v], i) =>
+      `<circle cx="${u}" cy="${v}" r="${seen[i] === marked ? 6 : 3}" />` +
+      `<text x="${u + 9}" y="${v + 14}" class="right">λ = ${seen[i].lambda_rate}</text>`;
+    const [base, below] = [TALL - 18, TALL - 4];
+    const [first, last] = [fixed, most].map((bytes) => bytes.toLocaleString("en"));
+    return drawing(`PSNR from ${low} to ${high} dB over bytes`, [
+      `<path d="M${x(fixed)} 5V${base}H${WIDE}" class="thin" />`,
+      `<text x="3" y="${below}" class="right">${first} bytes: networks</text>`,
+      `<text x="${x(most)}" y="${below}">${last}</text>`,
+      `<text x="16" y="12" class="right">PSNR, ${low.toFixed(1)} to ${high.toFixed(1)} dB</text>`,
+      `<polyline points="${places.join(" ")}" />`,
+      ...places.map(point),
+    ]);
+  }
+
+  // --- pictures of an anchor --------------------------------------------------------------------
   /** The feature of anchor `a` as bars, and the colours of its children seen by `cameras`. */
   function look(model, a, cameras) {
     const { header, columns, symbols, q } = model;
@@ -87,31 +199,6 @@
     return [bars(feature, said, ["number 0", `number ${feature.length - 1}`]), figure];
   }
 
-  /** The sharpest and the vaguest prediction of a number of anchor `a`, of those that fit in. */
-  function guesses(model, a) {
-    const { mu_units, sigma_units, symbols } = model;
-    const all = columnsOf(model).filter(({ column }) => requantise.isCoded(model, a, column));
-    const own = all.map(({ label, column }) => {
-      const at = a * model.columns + column;
-      const [mu, units, symbol] = [mu_units[at], sigma_units[at], symbols[at]];
-      const [mean, sigma] = [mu / requantise.UNITS.mu, 2 ** (units / requantise.UNITS.sigma)];
-      const reach = Math.ceil(Math.max(3 * sigma + 2, Math.abs(symbol - mean) + 1));
-      const bits = (n) => requantise.symbolBits(n, mu, units);
-      return { label, mean, sigma, reach, symbol, bits };
-    });
-    const fit = own.filter(({ reach }) => reach <= MOST_INTEGERS);
-    fit.sort((one, other) => one.sigma - other.sigma);
-    const ends = fit.length > 1 ? [fit[0], fit.at(-1)] : fit;
-    return ends.map(({ label, mean, sigma, reach, symbol, bits }) => {
-      const first = Math.round(mean) - reach;
-      const values = Array.from({ length: 2 * reach + 1 }, (_, i) => 2 ** -bits(first + i));
-      const said =
-        `${label}: mean ${mean.toFixed(1)}, σ ${sigma.toFixed(1)} steps. ` +
-        `The actual integer, ${symbol}, costs ${bits(symbol).toFixed(1)} bits.`;
-      return bars(values, said, [String(first), String(first + 2 * reach)], symbol - first);
-    });
-  }
-
   const list = (values, from, count) =>
     `(${Array.from(values.slice(from, from + count), digits).join(", ")})`;
 
@@ -133,8 +220,8 @@
     const rows = columnsOf(model).map(({ label, g, column }) => {
       const [at, step] = [a * columns + column, q[4 * a + g]];
       if (!requantise.isCoded(model, a, column)) return [label, "masked", "", "", "", "", "0"];
-      const mu = (mu_units[at] / requantise.UNITS.mu) * step;
-      const sigma = 2 ** (sigma_units[at] / requantise.UNITS.sigma) * step;
+      const mu = (mu_units[at] / UNITS.mu) * step;
+      const sigma = 2 ** (sigma_units[at] / UNITS.sigma) * step;
       const numbers = [symbols[at], step, symbols[at] * step, mu, sigma].map(digits);
       return [label, ...numbers, bits[column].toFixed(2)];
     });
@@ -163,38 +250,25 @@
     return table("What it costs", ["part", "bits", "share of the file", "by"], rows);
   }
 
-  // --- how it is drawn --------------------------------------------------------------------------
-  /** The equations of the context with this anchor's numbers. */
-  function context(model, a) {
-    const { header, q } = model;
-    const h = new Float64Array(header.F * header.grid.length);
-    p4dgs.hashFeature(model, a, h);
-    const units = Array.from(h, (v) => v / 2 ** 15);
-    const steps = model.groups.map(({ name }, g) => `${NAMES[name]} ${digits(q[4 * a + g])}`);
-    return [
-      ["Eq. (9)", "h = H(x_a)", `${list(units, 0, 16)}${units.length > 16 ? " …" : ""}`],
-      ["Eq. (8)", "q = Q₀ (1 + tanh ψ_q(h))", steps.join("; ")],
-      ["Eq. (12)", "μ, σ = ψ_p(h)", "the columns μ and σ of the table below"],
-      ["Eq. (10)", "f̂ = round(f / q) · q", "the columns symbol and value"],
-    ];
-  }
+  /** The four steps of anchor `a`. */
+  const steps = ({ groups, q }, a) =>
+    groups.map(({ name }, g) => `${NAMES[name]} ${digits(q[4 * a + g])}`).join("; ");
 
-  /** The equations of the picture: of the anchor, then of each of its children. */
-  function drawn(frame, a) {
-    const { model, camera, t } = frame;
-    const { delta_vc, d_vc } = p4dgs.view(
-      model.x_a.slice(3 * a, 3 * a + 3),
-      p4dgs.centreOf(camera),
+  /** A button for each sign that the anchor reads at a level, the nearest node first. */
+  function signs(frame, flip) {
+    const { F } = frame.model.header;
+    return layers.nodesRead(frame).flatMap(({ at, share }, i) =>
+      Array.from({ length: F }, (_, f) => {
+        const title = `Node ${i + 1}, number ${f}: weight ${digits(share)}. Click to flip.`;
+        const said = frame.model.signs[at + f] ? "+" : "−";
+        const button = element("button", { title, "aria-label": `${said} ${title}` }, said);
+        button.addEventListener("click", () => flip(at + f));
+        return button;
+      }),
     );
-    const seen = `δ = ${digits(delta_vc[0])}, d = ${list(d_vc, 0, 3)}`;
-    const place = list(model.x_a, 3 * a, 3);
-    return [
-      ["Q14", "x_a = lo + n (hi − lo) / 65535", `${place}, n = ${list(model.positions, 3 * a, 3)}`],
-      ["Eq. (2)", "δ = |x_a − x_c|, d = (x_a − x_c) / δ", seen],
-      ["", "time", digits(t)],
-    ];
   }
 
+  // --- how it is drawn --------------------------------------------------------------------------
   function children(frame, a) {
     const { model, camera, gaussians, moved } = frame;
     const { k, tau_alpha } = model.header;
@@ -223,15 +297,9 @@
   /** All that the page says of anchor `a`, as elements. `total` is the file's size in bits. */
   function anchor(frame, a, total) {
     const { model } = frame;
-    const head = ["equation", "formula", "for this anchor"];
-    const rows = [...drawn(frame, a), ...context(model, a)];
-    return [
-      bill(model, a, total),
-      table("Its place and its context", head, rows),
-      children(frame, a),
-      stored(model, a),
-    ];
+    return [bill(model, a, total), children(frame, a), stored(model, a)];
   }
 
-  Object.assign(exported, { anchor, look, guesses, element, table });
+  Object.assign(exported, { anchor, look, element, table, pixel, columnsOf, numberOf });
+  Object.assign(exported, { bell, curve, signs, steps, digits });
 })((globalThis.explain = {}));

@@ -1,6 +1,6 @@
 // The guided way through a file, and the link that brings a visitor back to what they saw.
 //
-// Each of the eight steps is an article of page.html, with its text and the state of the picture.
+// Each step is an article of page.html, with its text and the state of the picture.
 "use strict";
 
 (function () {
@@ -9,11 +9,13 @@
   const $ = (id) => document.getElementById(id);
   const all = (what) => document.querySelectorAll(what);
 
-  const STEPS = [...all("article")];
-  const EXPLORE = 0; // the step in which all panels are shown
+  const EXPLORE = "explore"; // the step in which all panels are shown
+  const articles = new Map([...all("article")].map((one) => [one.dataset.steps, one]));
+  if (page.rates.length < 2) articles.delete("lambda");
+  const STEPS = [...articles.keys()];
   const PAUSE = 1800; // milliseconds for which steps q stay as coarse as they are
 
-  let [step, last] = [1, 1]; // and the last one of the guide
+  let [step, last] = [STEPS[0], STEPS[0]]; // and the last one of the guide
   let coarsening = 0; // a timer
 
   const isStill = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -36,6 +38,7 @@
     least: () => page.bits().least.toFixed(0),
     most: () => page.bits().most.toFixed(0),
     context: ({ bytes }) => whole(bytes.hash_grid + bytes.context_mlps),
+    networks: (model) => whole(page.networkBytes(model)),
   };
 
   const anchors = new WeakMap(); // of each model the one that the steps explain
@@ -55,17 +58,17 @@
   /** Shows the panels of a step, and its state of the picture; Explore leaves that as it is. */
   function enter(to) {
     step = to;
-    last = step || last;
+    last = step === EXPLORE ? last : step;
     clearInterval(coarsening);
-    document.body.dataset.step = String(step);
+    document.body.dataset.step = step;
     for (const dot of all("#steps [value]")) {
-      dot.setAttribute("aria-current", Number(dot.value) === step ? "step" : "false");
+      dot.setAttribute("aria-current", dot.value === step ? "step" : "false");
     }
     $("to-guide").setAttribute("aria-pressed", String(step !== EXPLORE));
     $("to-explore").setAttribute("aria-pressed", String(step === EXPLORE));
-    $("previous").disabled = step === 1;
-    $("next").disabled = step === STEPS.length;
-    if (state.model && step !== EXPLORE) arrange(STEPS[step - 1]);
+    $("previous").disabled = step === STEPS[0];
+    $("next").disabled = step === STEPS.at(-1);
+    if (state.model && step !== EXPLORE) arrange(articles.get(step));
     state.explained = null; // other panels are shown
     page.ask();
     addressSoon();
@@ -76,11 +79,13 @@
     for (const place of article.querySelectorAll("[data-fact]")) {
       place.textContent = FACTS[place.dataset.fact](model);
     }
-    const { anchor, playing, turning, coarser, ...rest } = JSON.parse(article.dataset.show);
+    const { anchor, playing, turning, coarser, pixel, ...rest } = JSON.parse(article.dataset.show);
     const moves = !isStill();
-    page.arrange({ ...rest, playing: playing && moves, turning: turning && moves });
-    if (anchor && !anchors.has(model)) anchors.set(model, telling(model));
+    const moving = playing === undefined ? {} : { playing: playing && moves };
+    page.arrange({ ...rest, ...moving, turning: turning && moves });
+    if (!anchors.has(model)) anchors.set(model, page.chosen()?.anchor ?? telling(model));
     if (anchor) page.select(anchors.get(model));
+    if (pixel) choosePixel(anchors.get(model));
     if (!coarser) return;
     let power = moves ? 0 : coarser; // steps q times 2^power, by itself; once if nothing may move
     const next = () => {
@@ -92,10 +97,19 @@
     if (moves) coarsening = setInterval(next, PAUSE);
   }
 
-  const go = (by) => enter(Math.min(Math.max(step + by, 1), STEPS.length));
+  /** The pixel of an anchor's first child. */
+  function choosePixel(anchor) {
+    const { model } = state;
+    const camera = page.cameraOf(state, 1);
+    const { gaussians, splats } = draw.see(model, camera, Number($("time").value));
+    const n = gaussians.index.findIndex((child) => Math.floor(child / model.header.k) === anchor);
+    if (n >= 0) state.pixel = [0, 1].map((i) => splats.mean2d[2 * n + i] + 0.5);
+  }
+
+  const go = (by) => enter(STEPS[STEPS.indexOf(step) + by] ?? step);
 
   // --- the link ---------------------------------------------------------------------------------
-  /** The address of what is seen. Behind # it has `step` (1 to 8, or explore), `file` (its number,
+  /** The address of what is seen. Behind # it has `step` (a name, or explore), `file` (its number
    *  where the page holds several), `camera` (azimuth and elevation in degrees; distance and shift
    *  in units of the first distance) and `t`. What it leaves out is as the step sets it: a
    *  camera that nobody moved, and a time that runs, unless the address is `exact`. */
@@ -103,9 +117,9 @@
     const home = page.homeDistance(state.model);
     const { azimuth, elevation, distance, shift, isMoved, playing } = state;
     const view = [azimuth, elevation, ...[distance, ...shift].map((v) => v / home)];
-    const fields = [`step=${step || "explore"}`];
+    const fields = [`step=${step}`];
     const { length, selectedIndex } = $("scene");
-    if (length > 1 && selectedIndex >= 0) fields.push(`file=${selectedIndex + 1}`);
+    if (length > 1 && !page.chosen().isOwn) fields.push(`file=${selectedIndex + 1}`);
     if (exact || isMoved) fields.push(`camera=${view.map((v) => Number(v.toFixed(3)))}`);
     if (exact || !playing) fields.push(`t=${$("time").value}`);
     return `${location.href.split("#")[0]}#${fields.join("&")}`;
@@ -117,7 +131,7 @@
   async function copy() {
     try {
       await navigator.clipboard.writeText(address({ exact: true }));
-      $("copy").textContent = $("scene").selectedIndex < 0 ? "Copied, not your file" : "Copied";
+      $("copy").textContent = page.chosen()?.isOwn ? "Copied, not your file" : "Copied";
     } catch {
       page.play(false); // the address bar then has the time, too
       $("copy").textContent = "See the address bar";
@@ -139,11 +153,14 @@
     isFollowed = Boolean(state.model) && file === selectedIndex;
     if (!isFollowed) {
       $("scene").selectedIndex = file;
-      page.openEmbedded();
+      page.openChosen();
       return;
     }
-    const isExploring = fields.step === "explore";
-    enter(isExploring ? EXPLORE : (choice(numbers("step")[0], STEPS.length) ?? 1));
+    const { step: asked = STEPS[0] } = fields;
+    const isExploring = asked === EXPLORE;
+    // Links in the tutorials have numbers, from before the guide had all its steps.
+    const isMeant = (name) => [name, articles.get(name).dataset.number].includes(asked);
+    enter(isExploring ? EXPLORE : (STEPS.find(isMeant) ?? STEPS[0]));
     if (isExploring) page.arrange({ playing: !isStill() });
     const [azimuth, elevation, ...far] = numbers("camera");
     const [distance, ...shift] = far.map((v) => v * page.homeDistance(state.model));
@@ -164,7 +181,8 @@
   }
 
   for (const dot of all("#steps [value]")) {
-    dot.addEventListener("click", () => enter(Number(dot.value)));
+    dot.hidden = !articles.has(dot.value);
+    dot.addEventListener("click", () => enter(dot.value));
   }
   const calls = { previous: () => go(-1), next: () => go(1), copy };
   calls["to-guide"] = () => enter(last);

@@ -1,6 +1,6 @@
-// What can be drawn above a picture: anchors, ellipses, motion, paths, hidden children, the grid.
+// What can be drawn above a picture: anchors with children, ellipses, motion, paths, the grid.
 //
-// A frame is what was drawn: {model, camera, t, gaussians, moved, splats, bits, selected, level}.
+// A frame is what was drawn: {model, camera, t, gaussians, moved, splats, selected, level}.
 // A layer returns what is to be said of it, if anything.
 // Every line but those of paths has a light edge, so that it is seen on any background.
 "use strict";
@@ -13,8 +13,10 @@
   const MOST_MOTIONS = 250;
   const MOST_PRODUCTS = 2 ** 31; // multiplications for all paths
   const MOST_LINES = 33; // of a grid, along an axis
+  const SURFACE = 128; // pixels along a side of the picture of depths
   const AXES = "xyz";
-  const INK = { dark: "#14202e", motion: "#b3420a", hidden: "#8a1c5b", cell: "#0b4f8a" };
+  const INK = { dark: "#14202e", motion: "#b3420a", cell: "#0b4f8a" };
+  const MARKED = "#8000d0"; // the colour of the anchor that the guide and the tutorials follow
 
   // --- drawing ----------------------------------------------------------------------------------
   /** Strokes a path with a light edge. */
@@ -82,34 +84,46 @@
   }
 
   // --- the layers -------------------------------------------------------------------------------
-  /** Squares, larger and lighter the more bits an anchor costs. */
-  function anchors(context, frame) {
-    const { model, bits } = frame;
-    for (let a = 0; a < model.header.anchors; a++) {
-      const at = placeRow(frame, model.x_a, a);
-      if (!at) continue;
-      const side = bits ? 4 + 6 * bits.share(a) : 5;
-      const path = new Path2D();
-      path.rect(at[0] - side / 2, at[1] - side / 2, side, side);
-      fill(context, path, bits ? draw.css(bits.share(a)) : INK.dark);
-    }
+  /** Whether a splat is behind the surface of the scene: its depth is composited in the place of a
+   *  colour, with few pixels. */
+  function behindSurface({ model, camera, moved, gaussians }) {
+    const shrink = (values) => values.map((v) => (v * SURFACE) / camera.size[0]);
+    const small = { ...camera, size: [SURFACE, SURFACE] };
+    Object.assign(small, { focal: shrink(camera.focal), center: shrink(camera.center) });
+    const splats = p4dgs.splatting(gaussians, moved, small);
+    const color = new Float64Array(3 * splats.depth.length);
+    splats.depth.forEach((depth, n) => color.set([depth, 1, 0], 3 * n));
+    const scene = draw.settings(model, small, [0, 0, 0]);
+    const { image } = p4dgs.compositing({ ...splats, color }, scene);
+    const near = 0.03 * Math.hypot(...model.hi.map((v, i) => v - model.lo[i]));
+    return (n) => {
+      const [u, v] = [0, 1].map((i) => Math.round(splats.mean2d[2 * n + i]));
+      if (u < 0 || v < 0 || u >= SURFACE || v >= SURFACE) return false;
+      const [sum, weight] = image.slice(3 * (v * SURFACE + u), 3 * (v * SURFACE + u) + 2);
+      return weight > 0.5 && splats.depth[n] > sum / weight + near;
+    };
   }
 
-  /** Squares at anchors, and lines to dots at those children that are drawn. */
+  /** Squares at anchors, and lines to dots at those children that are drawn, but nothing behind a
+   *  surface: faint, and strong for the selected anchor. */
   function families(context, frame) {
-    const { model, gaussians } = frame;
-    const [lines, dots, squares] = [new Path2D(), new Path2D(), new Path2D()];
-    gaussians.index.forEach((child, n) => {
-      const from = placeRow(frame, model.x_a, Math.floor(child / model.header.k));
-      const to = centreOfSplat(frame, n);
-      if (!from || !to) return;
-      line(lines, from, to);
-      circle(dots, to, 2);
-      squares.rect(from[0] - 2.5, from[1] - 2.5, 5, 5);
-    });
-    stroke(context, lines, INK.cell, 0.8);
-    fill(context, dots, INK.cell);
-    fill(context, squares, INK.dark);
+    const { model, gaussians, selected } = frame;
+    const isBehind = behindSurface(frame);
+    for (const isMarked of [false, true]) {
+      const [lines, dots, squares] = [new Path2D(), new Path2D(), new Path2D()];
+      gaussians.index.forEach((child, n) => {
+        const a = Math.floor(child / model.header.k);
+        const [from, to] = [placeRow(frame, model.x_a, a), centreOfSplat(frame, n)];
+        if ((a === selected) !== isMarked || !from || !to || isBehind(n)) return;
+        line(lines, from, to);
+        circle(dots, to, isMarked ? 4 : 2);
+        squares.rect(from[0] - 2.5, from[1] - 2.5, 5, 5);
+      });
+      context.globalAlpha = isMarked ? 1 : 0.4;
+      stroke(context, lines, isMarked ? MARKED : INK.cell, isMarked ? 2 : 0.8);
+      fill(context, dots, isMarked ? MARKED : INK.cell);
+      fill(context, squares, INK.dark);
+    }
   }
 
   function ellipses(context, frame) {
@@ -185,22 +199,6 @@
     return count < all ? `Paths of ${count} of ${all} children.` : null;
   }
 
-  /** Crosses on the children that a mask keeps and tau_alpha hides from this camera. */
-  function hidden(context, frame) {
-    const { model, camera } = frame;
-    const all = kept(model, camera);
-    const path = new Path2D();
-    all.alpha.forEach((alpha, n) => {
-      const at = alpha < model.header.tau_alpha && placeRow(frame, all.x, n);
-      if (!at) return;
-      line(path, [at[0] - 3, at[1] - 3], [at[0] + 3, at[1] + 3]);
-      line(path, [at[0] - 3, at[1] + 3], [at[0] + 3, at[1] - 3]);
-    });
-    stroke(context, path, INK.hidden);
-    const count = all.alpha.filter((alpha) => alpha < model.header.tau_alpha).length;
-    return `Children below τ_α in this view: ${count}.`;
-  }
-
   // --- the hash grid ----------------------------------------------------------------------------
   const corner = ({ lo, hi }, shares) => shares.map((share, i) => lo[i] + share * (hi[i] - lo[i]));
 
@@ -271,6 +269,20 @@
     return every(R) > 1 ? `Only one line in ${every(R)} is drawn.` : null;
   }
 
+  /** The nodes that the selected anchor reads at a level, [{at, share}], the largest share first.
+   *  The F signs of a node begin `at`. */
+  function nodesRead({ model, selected, level }) {
+    const { axes, R, first, T } = levelOf(model, level);
+    const place = axes.map((axis) => (model.positions[3 * selected + axis] / 65535) * (R - 1));
+    const nodes = Array.from({ length: 2 ** axes.length }, (_, from) => {
+      const upper = axes.map((_, i) => (from >> i) & 1);
+      const node = place.map((v, i) => Math.min(Math.floor(v) + upper[i], R - 1));
+      const share = place.reduce((all, v, i) => all * (upper[i] ? v % 1 : 1 - (v % 1)), 1);
+      return { at: first + model.header.F * p4dgs.hashRow(node, R, T), share };
+    });
+    return nodes.sort((one, other) => other.share - one.share);
+  }
+
   // --- the selected anchor ----------------------------------------------------------------------
   /** A ring around the anchor, and lines to its children with their ellipses. */
   function selection(context, frame) {
@@ -283,10 +295,17 @@
       ellipse(path, frame, n);
       line(path, at, centreOfSplat(frame, n));
     });
-    stroke(context, path, INK.dark, 1.6);
+    stroke(context, path, MARKED, 1.6);
     const ring = new Path2D();
     circle(ring, at, 8);
-    stroke(context, ring, INK.motion, 2.4);
+    stroke(context, ring, MARKED, 2.4);
+  }
+
+  /** A square around a chosen pixel. */
+  function pixel(context, [u, v]) {
+    const path = new Path2D();
+    path.rect(u - 5, v - 5, 10, 10);
+    stroke(context, path, MARKED, 2.4);
   }
 
   /** The anchor nearest to a point of the stage, or null where none is within `reach` pixels. */
@@ -300,6 +319,6 @@
     return found;
   }
 
-  const LAYERS = { grid, ellipses, paths, motion, hidden, families, anchors };
-  Object.assign(exported, { LAYERS, selection, nearest, kept });
+  const LAYERS = { grid, ellipses, paths, motion, families };
+  Object.assign(exported, { LAYERS, behindSurface, selection, pixel, nearest, nodesRead, kept });
 })((globalThis.layers = {}));

@@ -877,18 +877,22 @@
   }
 
   // --- the picture ------------------------------------------------------------------------------
+  /** The splats that are visible, from front to back. */
+  function frontToBack({ depth, visible }) {
+    const order = Array.from(depth.keys()).filter((n) => visible[n]);
+    return order.sort((i, j) => depth[i] - depth[j] || i - j);
+  }
+
   /** C = sum_i c_i o_i T_i + T_N background with o = min(alpha_max, alpha exp(...)), [H, W, 3].
    *
    *  Nothing is left out where `least` is 0. Otherwise every Gaussian is drawn within the ellipse
    *  in which o >= least: 5e-5 cannot be seen, 1e-13 is as exact as doubles are. */
   function compositing(splats, { background, size, occlusion, alpha_max = 0.99, least = 0 }) {
-    const { mean2d, cov2d, conic, alpha, color, depth, visible } = splats;
+    const { mean2d, cov2d, conic, alpha, color } = splats;
     const [width, height] = size;
     const image = new Float64Array(3 * width * height);
     const transmittance = new Float64Array(width * height).fill(1);
-    const order = Array.from(depth.keys()).filter((n) => visible[n]);
-    order.sort((i, j) => depth[i] - depth[j] || i - j); // the nearest first
-    for (const n of order) {
+    for (const n of frontToBack(splats)) {
       const [A, B, C] = conic.subarray(3 * n, 3 * n + 3);
       const variance = least > 0 ? cov2d[3 * n + 2] : Infinity; // A over the conic's determinant
       const [red, green, blue] = color.subarray(3 * n, 3 * n + 3);
@@ -947,5 +951,6 @@
   Object.assign(exported, { color, rotation, scale, masking, gather, beside, positionalEncoding });
   Object.assign(exported, { deformation, deformed, rotationMatrix, root, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
-  Object.assign(exported, { render, centreOf, gaussianTable, nodesOf, NETWORKS });
+  Object.assign(exported, { render, centreOf, gaussianTable, nodesOf, NETWORKS, frontToBack });
+  Object.assign(exported, { codingContext });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

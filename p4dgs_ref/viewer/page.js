@@ -33,6 +33,10 @@
     turning: false, // the camera, by itself
     phase: 0, // of time to and fro: 0 ... 2
     selected: null,
+    painted: Infinity, // how many of the Gaussians, from front to back
+    pixel: [0.5, 0.5], // whose Gaussians are listed; from 0 to 1 along the sides of the picture
+    sign: null, // of the hash grid, which is flipped
+    number: null, // of an anchor, whose bell is drawn
     fewer: 1, // pixels along a side are divided by it while the picture moves
   };
 
@@ -44,7 +48,7 @@
     1.36 * Math.hypot(...hi.map((v, i) => v - lo[i])) || 1;
 
   function home() {
-    Object.assign(state, { azimuth: 40, elevation: 30, distance: homeDistance(state.model) });
+    Object.assign(state, { azimuth: 320, elevation: 30, distance: homeDistance(state.model) });
     Object.assign(state, { shift: [0, 0, 0], isMoved: false });
     ask();
   }
@@ -64,6 +68,7 @@
   }
 
   const time = () => Number($("time").value);
+  const isShown = (id) => $(id).offsetParent !== null;
   const clip = (v, low, high) => Math.min(Math.max(v, low), high);
 
   /** Sets what is given of azimuth, elevation, distance and shift, within their ranges. */
@@ -118,8 +123,7 @@
   }
 
   /** The model that is shown: the file's, or the requantised one. */
-  const current = () =>
-    state.changed && !$("unchanged").checked ? state.changed.model : state.model;
+  const current = () => state.changed?.model ?? state.model;
 
   let [before, slowFrames, atRest] = [null, 0, 0];
   const goesOn = () => state.playing || state.turning;
@@ -202,19 +206,32 @@
     const seen = cameraOf(state, pixels(interval));
     const [drawn, t, what] = [current(), time(), $("shown").value];
     const found = draw.see(drawn, seen, t, { canonical: what === "canonical" });
+    const order = p4dgs.frontToBack(found.splats);
+    const count = Math.min(state.painted, order.length);
+    for (const n of order.slice(count)) found.splats.visible[n] = 0;
     const isBits = what === "bits";
     const scene = draw.settings(drawn, seen, isBits ? [1, 1, 1] : undefined);
     const path = show(isBits ? bitColors(found) : found.splats, scene);
     const frame = { ...found, model: drawn, camera: seen, t, selected: state.selected };
     drawAbove(frame, isBits);
+    if (isShown("pixel")) showPixel(frame, order, count);
     Object.assign(state, { frame, spent: performance.now() - start });
-    const count = `${whole(found.gaussians.index.length)} Gaussians · ${seen.size[0]} px`;
-    $("corner").textContent = `${path} · ${count} · ${state.spent.toFixed(0)} ms`;
+    const said = `${whole(found.gaussians.index.length)} Gaussians · ${seen.size[0]} px`;
+    $("corner").textContent = `${path} · ${said} · ${state.spent.toFixed(0)} ms`;
     if ($("walker")) $("walker").style.left = `${state.azimuth / 3.6}%`;
     if (state.changed) compareSoon();
     if (goesOn()) ask();
     else explainSoon();
     document.dispatchEvent(new Event("painted"));
+  }
+
+  /** How many Gaussians are painted, and those of the chosen pixel. */
+  function showPixel(frame, order, count) {
+    $("splats").max = String(order.length);
+    $("splats").value = String(count);
+    $("splats-now").value = `${whole(count)} of ${whole(order.length)}`;
+    const at = state.pixel.map((share) => Math.round(share * frame.camera.size[0] - 0.5));
+    $("pixel").replaceChildren(...explain.pixel(frame, order, count, at));
   }
 
   /** The layers, at the resolution of the screen, and the legend of bits where they are shown. */
@@ -229,15 +246,15 @@
     context.clearRect(0, 0, side, side);
     frame.scale = side / frame.camera.size[0];
     frame.level = Number($("level").value);
-    frame.bits = isBits || $("layer-anchors").checked ? bits() : null;
-    $("legend").hidden = !frame.bits;
-    tell("legend-low", `${frame.bits?.least.toFixed(0)} bits an anchor`);
-    tell("legend-high", `${frame.bits?.most.toFixed(0)} bits`);
+    $("legend").hidden = !isBits;
+    if (isBits) tell("legend-low", `${bits().least.toFixed(0)} bits an anchor`);
+    if (isBits) tell("legend-high", `${bits().most.toFixed(0)} bits`);
     const notes = Object.entries(layers.LAYERS)
       .filter(([name]) => $(`layer-${name}`).checked)
       .map(([, layer]) => layer(context, frame));
     tell("layers-say", notes.filter(Boolean).join(" "));
     layers.selection(context, frame);
+    if (isShown("pixel")) layers.pixel(context, state.pixel.map((share) => share * side));
   }
 
   // --- bits -------------------------------------------------------------------------------------
@@ -261,40 +278,32 @@
   const whole = (count) => count.toLocaleString("en");
   const total = (sizes) => Object.values(sizes).reduce((sum, size) => sum + size, 0);
 
+  /** Bytes of all networks, which no lambda changes. */
+  const networkBytes = ({ bytes }) =>
+    total(Object.keys(p4dgs.NETWORKS).map((section) => bytes[section] ?? 0));
+
   /** What a section holds, as the page says it. */
   const holds = (name) => $(`holds-${name}`).textContent;
 
   function drawStrip() {
     $("section-says").textContent = ""; // its bytes may be others now
-    const own = withContainer(state.model.bytes);
-    const now = withContainer(state.changed ? state.changed.bytes : state.model.bytes);
-    const names = Object.keys(own);
+    const sizes = Object.entries(withContainer((state.changed ?? state.model).bytes));
     const { header } = state.model;
     $("file-says").replaceChildren(
       element("bdi", {}, state.name),
       `: ${whole(state.data.length)} bytes, ${whole(header.anchors)} anchors with up to ` +
         `${header.k} children`,
     );
-    $("strip").replaceChildren(...names.map((name, i) => partOf(name, i, names.length, now)));
-    const estimate = (size) => (state.changed ? [whole(size)] : []);
-    const row = (name, size, changed, says) => {
-      const share = percent(size, state.data.length);
-      return [name, whole(size), share, ...estimate(changed), says];
-    };
-    const rows = names.map((name, i) => row(`${i + 1} ${name}`, own[name], now[name], holds(name)));
-    rows.push(row("all", state.data.length, total(now), ""));
-    const estimated = state.changed ? ["estimate"] : [];
-    const head = ["section", "bytes", "share", ...estimated, "what it holds"];
-    $("sections").replaceChildren(explain.table("Sections of the file", head, rows));
+    $("strip").replaceChildren(...sizes.map(partOf));
   }
 
-  /** One section of the strip: as wide as its bytes, with the number of its row in the table. */
-  function partOf(name, i, count, sizes) {
-    const said = `${i + 1} ${name}: ${whole(sizes[name])} bytes. ${holds(name)}`;
-    const names = { title: said, "aria-label": said, "aria-pressed": "false" };
+  /** One section of the strip: as wide as its bytes. */
+  function partOf([name, size], i) {
+    const share = percent(size, state.data.length);
+    const said = `${i + 1} ${name}: ${whole(size)} bytes, ${share}. ${holds(name)}`;
+    const names = { title: said, "aria-label": said, "aria-pressed": "false", "data-part": name };
     const button = element("button", names, element("span", {}, String(i + 1)));
-    button.style.flex = `${sizes[name]} 1 0.8rem`;
-    button.style.setProperty("--part", draw.css((i / count) * 0.85));
+    button.style.flex = `${size} 1 0.8rem`;
     button.addEventListener("click", () => {
       for (const one of $("strip").children) one.setAttribute("aria-pressed", one === button);
       $("section-says").textContent = said;
@@ -303,12 +312,12 @@
   }
 
   // --- requantising -----------------------------------------------------------------------------
-  const BROKEN = ["weight", "frequency", "no-context", "no-masks"];
+  const BROKEN = ["weight", "frequency", "no-context"];
 
   const changes = () => ({
     coarser: 2 ** Number($("coarser").value),
-    masks: !$("no-masks").checked,
     context: !$("no-context").checked,
+    sign: state.sign,
     weight: $("weight").checked,
     frequency: $("frequency").checked,
   });
@@ -318,16 +327,17 @@
     const isSame = Object.entries(requantise.UNCHANGED).every(([key, v]) => how[key] === v);
     state.changed = isSame ? null : requantise.requantise(state.model, how);
     $("coarser-now").value = String(Number(how.coarser.toPrecision(2)));
-    $("unchanged").checked = false;
     drawStrip();
     compare();
     ask();
   }
 
   function undo() {
+    state.sign = null;
     $("coarser").value = "0";
     for (const id of BROKEN) $(id).checked = false;
     change();
+    if (state.selected !== null) ownNumber();
   }
 
   /** A picture of a model for the comparison, on the processor. */
@@ -338,7 +348,7 @@
 
   /** Tells bytes and PSNR of the changed file. */
   function compare() {
-    $("unchanged").disabled = $("reset").disabled = !state.changed;
+    $("reset").disabled = !state.changed;
     $("trio").hidden = !state.changed;
     $("result").textContent = "Nothing is changed.";
     if (!state.changed) return;
@@ -370,14 +380,52 @@
 
   const compareSoon = later(compare, 500);
 
+  /** Flips a sign of the hash grid, or flips it back. */
+  function flip(sign) {
+    state.sign = state.sign === sign ? null : sign;
+    change();
+    ownNumber();
+  }
+
   // --- one anchor -------------------------------------------------------------------------------
   function select(anchor) {
     state.selected = anchor;
     $("anchor").value = anchor === null ? "" : String(anchor);
     state.explained = null;
-    $("anchor-shown").hidden = anchor === null;
+    $("anchor-shown").hidden = $("bell-shown").hidden = anchor === null;
+    if (anchor !== null) listNumbers();
     ask();
     explainSoon(); // also while time runs
+  }
+
+  // --- one number -------------------------------------------------------------------------------
+  const BELL = ["mu", "sigma", "q"];
+
+  /** The numbers of the selected anchor that are in the file; the bell of the first one. */
+  function listNumbers() {
+    const all = explain.columnsOf(state.model);
+    const isCoded = ({ column }) => requantise.isCoded(state.model, state.selected, column);
+    const option = ({ label, column }) => element("option", { value: String(column) }, label);
+    $("number").replaceChildren(...all.filter(isCoded).map(option));
+    ownNumber();
+  }
+
+  /** The bell as it is in the file. */
+  function ownNumber() {
+    const { model, selected } = state;
+    const own = explain.numberOf(model, current(), selected, Number($("number").value));
+    const reach = Math.max(4 * own.sigma, 2 * Math.abs(own.v - own.mu), 4 * own.q);
+    state.number = { ...own, reach };
+    for (const name of BELL) $(`bell-${name}`).value = "0";
+    drawBell();
+  }
+
+  function drawBell() {
+    const { v, mu, sigma, q, reach } = state.number;
+    const [shift, ...powers] = BELL.map((name) => Number($(`bell-${name}`).value));
+    const now = { v, mu: mu + shift * reach, sigma: sigma * 2 ** powers[0], q: q * 2 ** powers[1] };
+    for (const name of BELL) $(`bell-${name}-now`).value = explain.digits(now[name]);
+    $("bell").replaceChildren(...explain.bell(now, { middle: mu, reach }));
   }
 
   /** The pictures and tables of the selected anchor, where the camera or the time are others than
@@ -389,23 +437,20 @@
     const from = (_, i) => cameraOf({ ...state, azimuth: (360 * i) / WALK }, 1);
     const around = Array.from({ length: WALK + 1 }, from);
     $("anchor-look").replaceChildren(...explain.look(model, selected, around));
-    $("anchor-guesses").replaceChildren(...explain.guesses(model, selected));
-    if (!$("anchor-tables").offsetParent) return; // the guide does not show them
+    const [own, now] = [model, current()].map((one) => explain.steps(one, selected));
+    tell("steps-say", `Its steps q: ${now}${now === own ? "" : ` (in the file: ${own})`}.`);
+    const read = { model: current(), selected, level: Number($("level").value) };
+    $("signs").replaceChildren(...explain.signs(read, flip));
+    if (!isShown("anchor-tables")) return; // the guide does not show them
     const scrolled = [...$("anchor-tables").children].map(({ scrollTop }) => scrollTop);
     const [seen, t] = [frame.camera, frame.t];
-    const own = { model, camera: seen, t, ...draw.see(model, seen, t) };
-    const tables = explain.anchor(own, selected, 8 * state.data.length);
+    const drawn = { model, camera: seen, t, ...draw.see(model, seen, t) };
+    const tables = explain.anchor(drawn, selected, 8 * state.data.length);
     $("anchor-tables").replaceChildren(...tables);
     tables.forEach((table, i) => (table.scrollTop = scrolled[i] ?? 0));
   }
 
   const explainSoon = later(explainAnchor, 120);
-
-  function step(by) {
-    const { anchors } = state.model.header;
-    const from = state.selected ?? (by > 0 ? -1 : 0);
-    select((from + by + anchors) % anchors);
-  }
 
   // --- files ------------------------------------------------------------------------------------
   const PATIENCE = 60; // seconds in which a file must be decoded
@@ -468,6 +513,7 @@
       refuse(name, large);
       return;
     }
+    if (chosen()?.data !== data) listOwn(name, data);
     const size = state.model ? homeDistance(state.model) : Infinity;
     Object.assign(state, { name, data, model, bits: null, changed: null });
     Object.assign(state, { fewer: 1, spent: 0 });
@@ -487,12 +533,13 @@
     $("anchor").max = String(state.model.header.anchors - 1);
     select(null);
     undo();
+    showRate();
     document.dispatchEvent(new Event("opened"));
   }
 
   let request = 0; // files so far; the last one that is asked for is shown, whichever ends last
 
-  /** Shows a file, whose bytes `read` promises; says whether it is shown. */
+  /** Shows a file, whose bytes `read` promises. */
   async function open(name, read) {
     const own = ++request;
     $("message").textContent = "";
@@ -500,43 +547,64 @@
       const data = await read();
       const model = own === request && (await decoded(data));
       if (own === request) load(name, data, model);
-      return state.data === data;
     } catch (error) {
       if (own === request) refuse(name, error.message);
     }
   }
 
   /** Shows a file of the visitor. */
-  async function openFile(file) {
+  function openFile(file) {
     if (!file) return;
-    const isShown = await open(file.name, async () => {
+    open(file.name, async () => {
       const isLarge = file.size > MOST_BYTES;
       if (isLarge) throw new Error("container, byte 10: expected at most 2^29 bytes");
       return new Uint8Array(await file.arrayBuffer());
     });
-    if (!isShown) return;
-    $("scene").hidden = $("scene").options.length === 0;
-    $("scene").selectedIndex = -1; // each embedded file can be chosen
   }
 
   const decodeBase64 = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const files = JSON.parse($("files").textContent);
+  const held = JSON.parse($("files").textContent);
+  const files = held.map((one) => ({ ...one, data: decodeBase64(one.base64) })); // and one's own
+  const chosen = () => files[$("scene").selectedIndex];
 
-  /** Shows the embedded file that is chosen. */
-  function openEmbedded() {
-    const file = files[$("scene").selectedIndex];
-    if (file) open(file.name, () => decodeBase64(file.base64));
+  /** Shows the file that is chosen. */
+  function openChosen() {
+    const file = chosen();
+    if (file) open(file.name, () => file.data);
   }
 
-  function embedded() {
-    const options = files.map(({ name, base64 }) => {
-      const size = whole(decodeBase64(base64).length);
-      return element("option", {}, `\u2068${name}\u2069, ${size} bytes`); // as <bdi> does it
-    });
-    $("scene").replaceChildren(...options);
+  function listFiles() {
+    const said = ({ name, data }) => `\u2068${name}\u2069, ${whole(data.length)} bytes`; // as <bdi>
+    $("scene").replaceChildren(...files.map((file) => element("option", {}, said(file))));
     $("scene").hidden = files.length < 2;
-    $("scene").addEventListener("change", openEmbedded);
-    if (!files.length) $("message").textContent = "Open a .p4dgs file, or drop one on this page.";
+  }
+
+  /** The visitor's file is the last one of the list. */
+  function listOwn(name, data) {
+    files[held.length] = { name, data, isOwn: true };
+    listFiles();
+    $("scene").selectedIndex = held.length;
+  }
+
+  // --- files of other lambda --------------------------------------------------------------------
+  const rates = files.filter((file) => "lambda_rate" in file);
+  rates.sort((one, other) => one.lambda_rate - other.lambda_rate);
+  const visited = new Set();
+
+  /** The curve through the files that were visited, and what this one is. */
+  function showRate() {
+    const file = chosen();
+    if (!rates.includes(file)) return;
+    visited.add(file);
+    $("rate").max = String(rates.length - 1);
+    $("rate").value = String(rates.indexOf(file));
+    $("rate-now").value = String(file.lambda_rate);
+    const fixed = networkBytes(state.model);
+    const size = file.data.length;
+    $("curve").replaceChildren(explain.curve(rates, visited, file, fixed));
+    $("rate-says").textContent =
+      `${whole(size)} bytes: ${whole(fixed)} for networks, ${whole(size - fixed)} for the rest. ` +
+      `PSNR against the true pictures of the test views: ${file.psnr_db.toFixed(1)} dB.`;
   }
 
   // --- controls ---------------------------------------------------------------------------------
@@ -550,8 +618,6 @@
 
   /** What a key does while the picture has the focus. */
   function keys() {
-    const boxes = [...$("layers").querySelectorAll("input")];
-    const wait = (by) => () => setTime(time() + by);
     const arrow = (right, down) => (isShifted) =>
       isShifted ? pan(20 * right, 20 * down) : turn(5 * right, -5 * down);
     return {
@@ -563,14 +629,8 @@
       "=": () => zoom(0.9),
       "-": () => zoom(1 / 0.9),
       " ": () => play(!state.playing),
-      ",": wait(-0.02),
-      ".": wait(0.02),
-      "[": () => step(-1),
-      "]": () => step(1),
-      f: fullScreen,
       Home: home,
       Escape: () => select(null),
-      ...Object.fromEntries(boxes.map((box, i) => [String(i + 1), () => box.click()])),
     };
   }
 
@@ -627,7 +687,11 @@
       down.delete(event.pointerId);
       if (!isClick || !state.frame) return;
       const box = stage.getBoundingClientRect();
-      select(layers.nearest(state.frame, event.clientX - box.left, event.clientY - box.top));
+      const [u, v] = [event.clientX - box.left, event.clientY - box.top];
+      if (isShown("pixel")) {
+        state.pixel = [u / box.width, v / box.height];
+        ask();
+      } else select(layers.nearest(state.frame, u, v));
     };
     for (const name of ["pointerup", "pointercancel"]) stage.addEventListener(name, up);
     const wheel = (event) => {
@@ -653,7 +717,20 @@
       const isLeft = !document.fullscreenElement && $("view").classList.contains("full");
       if (isLeft) fullScreen();
     });
-    const drawn = ["shown", "layers", "level", "size", "canvas-path", "unchanged"];
+    on("scene", "change", openChosen);
+    on("rate", "input", () => {
+      $("scene").selectedIndex = files.indexOf(rates[Number($("rate").value)]);
+      openChosen();
+    });
+    on("splats", "input", () => {
+      const { value, max } = $("splats");
+      state.painted = value === max ? Infinity : Number(value);
+      ask();
+    });
+    on("number", "change", ownNumber);
+    for (const name of BELL) on(`bell-${name}`, "input", drawBell);
+    on("bell-own", "click", ownNumber);
+    const drawn = ["shown", "layers", "level", "size", "canvas-path"];
     for (const id of drawn) on(id, "change", ask);
     const changeSoon = later(change, 30);
     for (const id of ["coarser", ...BROKEN]) on(id, "input", changeSoon);
@@ -683,23 +760,27 @@
 
   /** Puts the picture into a state; what `settings` leave out is as a file is opened. */
   function arrange(settings) {
-    const { shown = "scene", checked = [], playing, turning } = settings;
+    const { shown = "scene", checked = [], stays, painted, turning } = settings;
+    const { playing = stays && state.playing } = settings;
     undo();
-    home();
+    if (!stays) home();
     $("shown").value = shown;
     $("level").selectedIndex = 0;
     for (const box of $("layers").querySelectorAll("input")) box.checked = false;
     for (const id of checked) $(id).checked = true;
     change();
-    setTime(0.3);
+    if (!stays) setTime(0.3);
     select(null);
+    state.painted = painted ?? Infinity;
     state.turning = Boolean(turning);
     play(Boolean(playing));
   }
 
   openGlass();
   controls();
-  embedded();
+  listFiles();
+  if (!files.length) $("message").textContent = "Open a .p4dgs file, or drop one on this page.";
   Object.assign(exported, { state, paint, arrange, aim, play, setTime, bits, change, whole });
-  Object.assign(exported, { homeDistance, cameraOf, openEmbedded, select, ask, later });
+  Object.assign(exported, { homeDistance, cameraOf, openChosen, chosen, rates, networkBytes });
+  Object.assign(exported, { select, ask, later });
 })((globalThis.page = {}));

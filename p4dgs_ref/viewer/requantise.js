@@ -8,7 +8,6 @@
   const p4dgs = typeof module === "object" ? require("./p4dgs.js") : globalThis.p4dgs;
   const { roundHalfEven } = p4dgs;
   const UNITS = { mu: 1024, sigma: 16 }; // mu / q in 1/1024, log2(sigma / q) in 1/16
-  const MASKED = 1; // masks of the children, in the order of the sections
 
   // --- prices -----------------------------------------------------------------------------------
   /** The bits of a symbol: -log2 of its frequency, its low bits, and Elias's code of an escape. */
@@ -34,7 +33,7 @@
   /** Whether column `i` of anchor `a` is in the file: offsets of masked children are not. */
   function isCoded({ header, masks, groups }, a, i) {
     const child = Math.floor((i - groups[3].first) / 3);
-    return child < 0 || masks[a * header.k + child] === MASKED;
+    return child < 0 || masks[a * header.k + child] === 1;
   }
 
   /** The bits of every symbol of an anchor, 0 where nothing is coded, [columns]. */
@@ -61,23 +60,21 @@
   }
 
   // --- a coarser file ---------------------------------------------------------------------------
-  const UNCHANGED = { coarser: 1, masks: true, context: true, weight: false, frequency: false };
+  const UNCHANGED = { coarser: 1, context: true, sign: null, weight: false, frequency: false };
 
   /** The model and the estimated bytes of each section, {model, bytes}.
    *
-   *  `coarser` multiplies every step q. Without `masks` every child is in the file, and the offsets
-   *  of those that were not are the means of Eq. (12). Without `context` there is neither the hash
-   *  grid nor a context network: q = Q_0, and one mean and deviation for every column of attributes.
-   *  `weight` and `frequency` break psi_d, see below. */
+   *  `coarser` multiplies every step q. Without `context` there is neither the hash grid nor a
+   *  context network: q = Q_0, and one mean and deviation for every column of attributes. `sign` is
+   *  the number of a sign of the grid that is flipped: anchors that read it have other steps, means
+   *  and deviations. `weight` and `frequency` break psi_d, see below. */
   function requantise(model, changes) {
     const how = { ...UNCHANGED, ...changes };
     const bytes = { ...model.bytes };
-    const masks = how.masks ? model.masks : new Uint8Array(model.masks.length).fill(MASKED);
-    if (!how.masks) bytes.masks = 0;
     if (!how.context) Object.assign(bytes, { hash_grid: 0, context_mlps: 0 });
-    const coarse = { ...model, masks };
+    const coarse = how.sign === null ? { ...model } : flipped(model, how.sign);
     for (const group of model.groups) {
-      const { values, before, after } = attributes(model, masks, group, how);
+      const { values, before, after } = attributes(model, coarse, group, how);
       coarse[group.name] = values;
       const table = how.context ? 0 : 4 * group.width; // two numbers of 16 bits a column
       bytes[group.section] += Math.round((after - before) / 8) + table;
@@ -87,8 +84,14 @@
     return { model: coarse, bytes };
   }
 
+  /** The model with another sign in the grid, and the context that follows from it. */
+  function flipped(model, sign) {
+    const other = { ...model, signs: model.signs.map((v, i) => (i === sign ? 1 - v : v)) };
+    return { ...other, ...p4dgs.codingContext(other) };
+  }
+
   /** One group of attributes: its values [A, width], and its bits before and after the change. */
-  function attributes(model, masks, { name, width, first }, { coarser, context }) {
+  function attributes(model, coarse, { name, width, first }, { coarser, context }) {
     const { header, columns, q, mu_units, sigma_units, symbols } = model;
     const g = model.groups.findIndex((group) => group.name === name);
     const values = new Float64Array(model[name].length);
@@ -97,18 +100,17 @@
       const column = []; // [the place of a symbol in the file, the new symbol]
       for (let a = 0; a < header.anchors; a++) {
         const at = a * columns + first + i;
-        const known = isCoded(model, a, first + i);
-        if (!known && !isCoded({ ...model, masks }, a, first + i)) continue;
-        const old = known ? symbols[at] : mu_units[at] / UNITS.mu;
-        const step = coarser * (context ? q[4 * a + g] : header.Q_0[g]);
-        const symbol = roundHalfEven((old * q[4 * a + g]) / step);
+        if (!isCoded(model, a, first + i)) continue;
+        const step = coarser * (context ? coarse.q[4 * a + g] : header.Q_0[g]);
+        const symbol = roundHalfEven((symbols[at] * q[4 * a + g]) / step);
         values[a * width + i] = symbol * step;
         column.push([at, symbol]);
-        before += known ? symbolBits(symbols[at], mu_units[at], sigma_units[at]) : 0;
+        before += symbolBits(symbols[at], mu_units[at], sigma_units[at]);
       }
       const common = context ? null : columnUnits(column.map(([, symbol]) => symbol));
       for (const [at, symbol] of column) {
-        const units = common ?? coarserUnits(mu_units[at], sigma_units[at], coarser);
+        const own = [coarse.mu_units[at], coarse.sigma_units[at]];
+        const units = common ?? coarserUnits(...own, coarser);
         after += symbolBits(symbol, ...units);
       }
     }

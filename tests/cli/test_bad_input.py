@@ -7,7 +7,9 @@ import os
 import re
 import resource
 import shutil
+import signal
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -17,11 +19,13 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref import limits
+from p4dgs_ref.__main__ import main
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli.parser import parser
-from p4dgs_ref.output import PART
+from p4dgs_ref.output import PART, locked
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import MAX_JSON_BYTES
+from p4dgs_ref.training import presets
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
 from tests.budget import subcommands
@@ -135,7 +139,7 @@ SCENES = [
     (
         "damaged image",
         lambda place: (place / "scene/train/r_1.png").write_bytes(b"\x89PNG"),
-        ("r_1.png", "PNG"),
+        ("r_1.png", "a picture of RGB"),
     ),
     (
         "another size",
@@ -250,7 +254,7 @@ LINES = [
     ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
     ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
-    ("demo --set voxel=nan", ("'voxel'", "positive")),
+    ("demo --set voxel=nan", ("'voxel'", "1e-09")),
     ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
     ("demo --set upright=perhaps", ("'upright'", "perhaps")),
     ("demo --set grow=wild", ("'grow'", "wild")),
@@ -258,7 +262,10 @@ LINES = [
     ("demo --set lr_x=1", ("'lr_x'", "first,last")),
     ("demo --set lambda_rate=nan", ("'lambda_rate'", "number from 0")),
     ("demo --set lr_c=0.1,-1", ("'lr_c'", "rates")),
-    ("train scene -o new --downscale 3", ("transforms_train.json", "downscale 3", "12x8")),
+    ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("evaluate good.p4dgs scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("effects scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("demo scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
     ("train scene -o new --downscale half", ("--downscale", "half")),
     ("demo scene -o text --preset smoke --quiet", ("text", "folder that can be written")),
@@ -290,7 +297,7 @@ LINES = [
     *(
         (f"{command} {file}{rest}", (file, *words))
         for command, rest in (
-            ("inspect", " -o new"),
+            ("inspect", ""),
             ("decode", " -o new"),
             ("render", " -o new"),
             ("evaluate", " scene -o new"),
@@ -310,7 +317,6 @@ LINES = [
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
     ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
-    ("inspect good.p4dgs -o text/new", ("text/new", "folder that can be written")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
     ("render good.p4dgs -o new --size 5000", ("--size", "4096")),
@@ -320,7 +326,15 @@ LINES = [
     ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
     ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
-    ("render good.p4dgs -o new --settings pretty", ("--settings", "pretty", "exact")),
+    *(
+        (f"render good.p4dgs -o new --scene scene --{name} 4", (f"--{name}: expected without",))
+        for name in ("azimuth", "elevation", "distance", "size", "frames")
+    ),
+    (
+        "render good.p4dgs -o new --scene scene --size 4 --frames 2",
+        ("--size, --frames: expected without --scene",),
+    ),
+    ("render good.p4dgs -o new --downscale 4", ("--downscale: expected together with --scene",)),
     ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
     ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
     ("render scene.ply -o new", ("scene.ply: ", "container")),
@@ -331,7 +345,7 @@ LINES = [
         ("transforms_train.json", "camera_angle_x", "unknown field"),
     ),
     ("simulate scene -o new", ("scene", "directory")),
-    ("accuracy --json=yes", ("--json",)),
+    ("stability --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("encode run -o text", ("text: ", "another kind")),
     ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
@@ -375,15 +389,75 @@ def test_files_beyond_their_limits_are_not_read(tmp_path, run, monkeypatch, line
     assert err.count("\n") == 1 and os.listdir() == [name]
 
 
-def test_no_argument_may_be_empty(capsys):
+# Every command that writes files into a folder.
+INTO_A_FOLDER = (
+    "demo scene --preset smoke --quiet -o taken",
+    "train scene --preset smoke --quiet -o taken",
+    "decode good.p4dgs -o taken",
+    "render good.p4dgs --frames 1 --size 4 -o taken",
+    "evaluate good.p4dgs scene -o taken",
+    "inspect good.p4dgs -o taken",
+    "simulate scene.json -o taken",
+    "oracle export taken",
+    "accuracy -o taken",
+    "stability -o taken",
+    "effects scene -o taken",
+    "classroom taken",
+    "grade course/student -o taken",
+)
+
+
+def test_no_two_commands_write_into_one_folder(place, refused):
+    shutil.copy(ROOT / "tiny_scenes/static/scene.json", place)
+    Path("taken").mkdir()
+    with locked("taken"):
+        for line in INTO_A_FOLDER:
+            refused(line, ("taken: another process is writing to it",))
+
+
+def test_what_is_checked_is_checked_under_the_lock(place, monkeypatch, run):
+    """Another command that ends between the check and the lock would be overwritten."""
+
+    @contextmanager
+    def late(folder):
+        with locked(folder):
+            Path(folder, "manifest.txt").write_text("of another command", encoding="utf-8")
+            yield
+
+    monkeypatch.setattr("p4dgs_ref.output.locked", late)
+    for line in ("render good.p4dgs --frames 1 -o new", "oracle export new", "classroom new"):
+        code, out, err = run(line)
+        assert (code, out) == (2, "") and "new" in err, line
+        assert os.listdir("new") == ["manifest.txt"]
+        shutil.rmtree("new")
+
+
+def test_a_command_that_is_stopped_at_its_end_says_that_all_is_written(place, monkeypatch, capsys):
+    replace = os.replace
+
+    def interrupted(*names):
+        signal.raise_signal(signal.SIGTERM)
+        monkeypatch.setattr(os, "replace", replace)
+        replace(*names)
+
+    for line in ("classroom new", "oracle export vectors"):
+        monkeypatch.setattr(os, "replace", interrupted)
+        assert main(line.split()) == 130
+        folder = line.split()[-1]
+        assert capsys.readouterr().err == f"p4dgs-ref: stopped; all files are in {folder}\n"
+        assert len(os.listdir(folder)) >= 3 and not list(Path(folder).glob(".p4*"))
+
+
+def test_no_argument_may_be_empty_or_contain_nul(capsys):
     every = subcommands(parser())
     for one in [*every.values(), *subcommands(every["oracle"]).values()]:
         for argument in one._actions:
             if argument.nargs != 0:
-                with pytest.raises(SystemExit, match="2"):
-                    one.parse_args([*argument.option_strings[-1:], ""])
-                said = capsys.readouterr().err
-                assert re.search(r"(expected|invalid choice).*''", said), said
+                for text in ("", "a\0b"):
+                    with pytest.raises(SystemExit, match="2"):
+                        one.parse_args([*argument.option_strings[-1:], text])
+                    said = capsys.readouterr().err
+                    assert re.search(rf"(expected|invalid choice).*{re.escape(repr(text))}", said)
 
 
 def test_no_test_views():
@@ -394,6 +468,8 @@ def test_no_test_views():
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
     monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
+    for rate in ("lr_d", "lr_c"):  # such rates are refused
+        monkeypatch.setitem(presets.REQUIREMENTS, rate, ("any", lambda ends: True))
 
     def failed(line):
         code, _, err = run(f"{line} --preset smoke --quiet")
@@ -413,20 +489,28 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
     assert sorted(place.rglob("*")) == before
 
 
+def test_a_folder_of_another_training_is_refused_before_any_work(place, run, monkeypatch):
+    """Not only after the training was estimated, which takes a step of it."""
+    monkeypatch.setattr("p4dgs_ref.cli.job.estimate", None)
+    code, _, err = run("train scene -o run --preset smoke")
+    assert code == 2 and "run/checkpoint.npz: exists; --resume" in err and err.count("\n") == 1
+
+
 def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):
     shutil.copytree("scene", "listed")
     Path("listed/scene.json").write_text('{"effects": []}', encoding="utf-8")
     for line, count in (("scene -o new", 1), ("scene -o run --resume", 0), ("listed -o other", 0)):
         assert command(f"train {line} --preset smoke --quiet") == 0
         err = capsys.readouterr().err
-        assert err.count("effects scene --suggest --apply") == count and "2 training views" in err
+        hint = "effects scene --suggest --apply --downscale 1`"
+        assert err.count(hint) == count and "2 training views" in err
 
 
 def test_out_of_memory(place, run, monkeypatch):
-    def full(*arguments):
+    def full(*arguments, **named):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.cli.job.Trainer", full)
+    monkeypatch.setattr("p4dgs_ref.report.jobs.fit", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")
@@ -456,7 +540,6 @@ ODD = {
 }
 WRITING = {
     "encode run -o {}/x.p4dgs": "x.p4dgs",
-    "inspect good.p4dgs -o {}": "sections.csv",
     "evaluate good.p4dgs scene -o {}": "comparison.png",
     "decode good.p4dgs -o {}": "model.json",
     "train scene -o {} --preset smoke --resume --quiet": "training.csv",
@@ -492,7 +575,6 @@ FULL = {
     "render good.p4dgs -o out --frames 40 --size 6": "out/motion.gif",
     "evaluate good.p4dgs scene -o out": "out/comparison.png",
     f"simulate {ROOT}/tiny_scenes/static/scene.json -o out": "out/scene.json",
-    "inspect good.p4dgs -o out": "out/sections.png",
     "view good.p4dgs -o out/x.html": "out/x.html",
 }
 

@@ -19,7 +19,7 @@ NUMBERS = [*SIZES, *(-size for size in SIZES)]
 COMMANDS = (
     "decode f.p4dgs -o decoded",
     "render f.p4dgs -o drawn --frames 2 --size 16",
-    "render f.p4dgs -o of_scene --scene scene --settings exact",
+    "render f.p4dgs -o of_scene --scene scene",
     "evaluate f.p4dgs scene --json",
     "inspect f.p4dgs",
     "view f.p4dgs",

@@ -18,8 +18,8 @@ from p4dgs_ref.codec.container import (
     read_file,
     write_container,
 )
-from p4dgs_ref.oracle.streams import STREAMS
 from tests.codec.models import flips, prefixes, refusal, traced
+from tests.golden.conformance_good import GOOD, stream_of
 
 EMPTY = write_container({})
 
@@ -110,7 +110,8 @@ def frame(total, rows=b""):
 
 def test_good_files_are_read_whole(tmp_path):
     path = tmp_path / "good.p4dgs"
-    for data in ((STREAMS / "full.p4dgs").read_bytes(), write_container({})):
+    _, make = GOOD["full"]
+    for data in (write_container(stream_of(make)[1]), write_container({})):
         path.write_bytes(data)
         assert read_file(path) == data
 

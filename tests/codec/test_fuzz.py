@@ -15,10 +15,10 @@ from p4dgs_ref.codec.quantise import quantise, without_silent_units
 from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
 from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
-from p4dgs_ref.oracle.streams import STREAMS, read_rows
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal, traced, with_header
 from tests.golden import fuzz
+from tests.golden.conformance_good import GOOD, stream_of
 from tests.golden.damage import assemble, damage_header, mutation, sections_in
 from tests.golden.sample_model import sample_model
 from tests.sampling import few
@@ -130,11 +130,12 @@ def kept(model):
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
-    paths = [*DEMO, *(STREAMS / row["file"] for row in read_rows()["good"])]
+    good = [path.read_bytes() for path in DEMO]
+    good += [write_container(stream_of(make)[1]) for _, make in GOOD.values()]
     seed, seen = date.today().toordinal(), Counter()
     for i in range(count):
         rng = np.random.default_rng([seed, i])
-        data = edited(rng, paths[rng.integers(len(paths))].read_bytes())
+        data = edited(rng, good[rng.integers(len(good))])
         try:
             q = quantised_of(read_container(data))
         except BitstreamError:

@@ -179,6 +179,33 @@ def test_largest_networks_equal_pythons_integers(name, scale):
         assert np.array_equal(layer.W, np.rint(layer.W))
 
 
+def rounded(value, s, limit):
+    """floor(value / 2^s + 1/2) for an s of either sign, clipped: Python's integers alone."""
+    shifted = (value + (1 << s >> 1)) >> s if s > 0 else value << -s
+    return max(-limit, min(limit, shifted))
+
+
+def test_means_are_shifted_as_the_format_says():
+    """m R 2^-S, rounded and clipped, where R has 24 bits and |m R| <= 2^52; S has either sign."""
+    rng, limit = np.random.default_rng(3), integer_context.MU_LIMIT
+    R = rng.integers(2**23 + 1, 2**24, 300)
+    values = rng.integers(-(2**28), 2**28, 300) // 2 ** rng.integers(0, 29, 300) * R
+    for S in (*range(-70, 70, 7), *range(-12, 13), *range(25, 31), 52, 53, 54, 62, 63):
+        want = [rounded(value, S, limit) for value in values.tolist()]
+        assert integer_context.shift(values, np.int64(S)).tolist() == want, S
+
+
+@pytest.mark.parametrize("bits, limit", [(12, 2**15), (16, 2**24)])
+def test_outputs_are_rescaled_as_the_format_says(bits, limit):
+    """y 2^(bits - unit), rounded and clipped."""
+    rng = np.random.default_rng(4)
+    y = rng.integers(-(2**51), 2**51, 300) // 2 ** rng.integers(0, 51, 300)
+    for s in (-80, -40, *range(-31, 60)):
+        want = [rounded(value, s, limit) for value in y.tolist()]
+        found = integer_context.rescale(y.astype(float), bits + s, bits, limit)
+        assert found.tolist() == want, s
+
+
 def test_a_bound_is_reached():
     """The largest inputs and weights reach the bound, so it cannot be lower."""
     (layer,) = whole_layers([np.full((WIDEST, 1), 65504.0)], [np.full(1, 65504.0)])

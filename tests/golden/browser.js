@@ -22,7 +22,7 @@ const isQuick = process.argv[3] === "guide";
 const DEMO = join(ROOT, "tutorials", "demo.p4dgs");
 const CANVAS = "no WebGL: canvas path";
 const PATHS = { WebGL2: "--enable-unsafe-swiftshader", [CANVAS]: "--disable-3d-apis" };
-const SIZES = [[1280, 800], [1440, 900], [400, 800]];
+const SIZES = [[1280, 800], [800, 1000], [400, 800]];
 const THEMES = ["light", "dark"];
 
 const at = (name) => join(FOLDER, name);
@@ -105,14 +105,36 @@ async function photograph(browser, name, options = {}) {
 // --- the guide ----------------------------------------------------------------------------------
 // What of the page is true in every step; `shown` are the panels beside the text.
 const STEPS = [
-  { shown: [], is: "page.state.playing" },
-  { shown: [], is: "$('layer-families').checked && $('shown').value === 'canonical'" },
-  { shown: ["anchor-look"], is: "page.state.turning && $('walker').style.left !== ''" },
-  { shown: [], is: "page.state.playing && $('layer-paths').checked && $('layer-motion').checked" },
-  { shown: ["coarser", "result", "trio"], is: "Number($('coarser').value) > 0" },
-  { shown: ["anchor-guesses"], is: "$('anchor-guesses').querySelectorAll('.marked').length === 2" },
-  { shown: ["coarser", "result", "strip"], is: "!$('legend').hidden" },
-  { shown: ["result", "trio", "weight", "frequency", "no-context"], is: "page.state.changed" },
+  { name: "scene", shown: [], is: "page.state.playing && page.state.azimuth === 320" },
+  {
+    name: "children",
+    shown: [],
+    is: "$('shown').value === 'canonical' && page.state.selected === 29",
+  },
+  { name: "splatting", shown: ["pixel"], is: "$('pixel').querySelectorAll('.later').length > 0" },
+  {
+    name: "prediction",
+    shown: ["anchor-look"],
+    is: "page.state.turning && $('walker').style.left !== ''",
+  },
+  {
+    name: "time",
+    shown: [],
+    is: "page.state.playing && $('layer-paths').checked && $('layer-motion').checked",
+  },
+  { name: "steps", shown: ["coarser", "result", "trio"], is: "Number($('coarser').value) > 0" },
+  {
+    name: "context",
+    shown: ["result", "signs", "bell"],
+    is: "$('signs').children.length === 16 && / bits/.test($('bell').innerText)",
+  },
+  { name: "bits", shown: ["coarser", "result", "strip", "bell"], is: "!$('legend').hidden" },
+  {
+    name: "break",
+    shown: ["result", "trio", "weight", "frequency", "no-context"],
+    is: "page.state.changed",
+  },
+  { name: "lambda", shown: ["curve"], is: "$('curve').querySelectorAll('circle').length === 1" },
 ];
 const PANELS = [...new Set(STEPS.flatMap(({ shown }) => shown))];
 
@@ -121,9 +143,9 @@ async function walk(browser, size, theme) {
   const name = `${size.join("x")}_${theme}`;
   await window(browser, size, { theme });
   await show(browser, ours("demo.html"));
-  for (const [i, { shown, is }] of STEPS.entries()) {
-    const said = `${name}, step ${i + 1}`;
-    await until(browser, `document.body.dataset.step === "${i + 1}"`, `${said} is not reached`);
+  for (const [i, { name: step, shown, is }] of STEPS.entries()) {
+    const said = `${name}, step ${step}`;
+    await until(browser, `document.body.dataset.step === "${step}"`, `${said} is not reached`);
     await until(browser, is, `${said}: ${is}`);
     const found = await browser.evaluate(`(${look})(${JSON.stringify(PANELS)})`);
     const wanted = PANELS.filter((id) => shown.includes(id));
@@ -138,14 +160,17 @@ async function walk(browser, size, theme) {
       check(`${said}: the picture scrolls away, to ${top}`, top >= 0);
       await browser.evaluate("scrollTo(0, 0)");
       check(`${said}: the paper is at ${found.paper}`, found.paper <= size[1]);
-    } else check(`${said}: the picture is ${found.side} pixels wide`, found.side >= size[0] - 2);
-    if (!isQuick) await steady(browser, `${name}_${i + 1}.png`, size);
+    } else {
+      check(`${said}: the picture is ${found.side} pixels wide`, found.side >= 0.4 * size[1]);
+      check(`${said}: the sentence ends at ${found.sentence}`, found.sentence <= size[1]);
+    }
+    if (!isQuick) await steady(browser, `${name}_${i + 1}_${step}.png`, size);
     await press(browser, "ArrowRight");
   }
   const step = () => browser.evaluate("document.body.dataset.step");
-  check(`${name}: after the last step`, (await step()) === "8");
+  check(`${name}: after the last step`, (await step()) === "lambda");
   await press(browser, "ArrowLeft");
-  check(`${name}: no way back`, (await step()) === "7");
+  check(`${name}: no way back`, (await step()) === "break");
   if (isQuick) return;
   await browser.evaluate("$('to-explore').click()");
   await wait(500);
@@ -165,14 +190,59 @@ function look(panels) {
   const byId = (id) => document.getElementById(id);
   const isShown = (one) => one.getClientRects().length > 0;
   const articles = [...document.querySelectorAll("article")];
+  const firstSentence = (article) => {
+    const range = document.createRange();
+    range.setStart(article, 0);
+    range.setEndAfter(article.querySelector("p").firstChild);
+    return range.getBoundingClientRect().bottom;
+  };
   return {
     shown: panels.filter((id) => isShown(byId(id))),
     articles: articles.map((one, i) => (isShown(one) ? i + 1 : 0)).filter(Boolean),
     wide: document.documentElement.scrollWidth,
     side: byId("stage").clientWidth,
     paper: byId("about").getBoundingClientRect().bottom,
+    sentence: firstSentence(articles.find(isShown)),
     text: document.body.innerText,
   };
+}
+
+/** Another lambda: another file, seen from the same place, and a further point of the curve. */
+async function lambdas(browser) {
+  const { evaluate } = browser;
+  await window(browser, SIZES[0]);
+  await show(browser, `${ours("demo.html")}#step=lambda&camera=100,20,1,0,0,0`);
+  const count = await evaluate("page.rates.length");
+  check(`${count} files of other lambda`, count === 5);
+  await evaluate(`(async () => {
+    for (const value of [0, 2, 3, 4]) {
+      $("rate").value = String(value);
+      $("rate").dispatchEvent(new Event("input"));
+      for (let i = 0; i < 100 && page.chosen() !== page.rates[value]; i++)
+        await new Promise((done) => setTimeout(done, 50));
+      await new Promise((done) => document.addEventListener("opened", done, { once: true }));
+    }
+  })()`);
+  const drawn = "$('curve').querySelectorAll('circle').length === 5";
+  await until(browser, drawn, "the curve lacks a point");
+  check("another camera", Math.round(await evaluate("page.state.azimuth")) === 100);
+  const said = await evaluate("$('rate-says').textContent");
+  const right = /^36,\d+ bytes: 33,518 for networks.*true pictures.*: 2\d\.\d dB\.$/;
+  check(`"${said}"`, right.test(said));
+  const sizes = await evaluate("page.rates.map(({ data }) => data.length)");
+  check(`bytes ${sizes}`, sizes.every((size, i) => i === 0 || size < sizes[i - 1]));
+  const one = join(ROOT, "p4dgs_ref", "oracle", "streams_v1", "one_anchor.p4dgs");
+  const data = base64(readFileSync(one));
+  await show(browser, `${ours("demo.html")}#step=context`);
+  await until(browser, "page.state.selected === 29", "the anchor is not that of the tutorials");
+  await evaluate(`{ const dataTransfer = new DataTransfer();
+    const bytes = Uint8Array.from(atob("${data}"), (letter) => letter.charCodeAt(0));
+    dataTransfer.items.add(new File([bytes], "one.p4dgs"));
+    document.dispatchEvent(new DragEvent("drop", { dataTransfer })); }`);
+  await until(browser, "page.state.name === 'one.p4dgs'", "a file does not open");
+  check("its anchor", (await evaluate("page.state.selected")) === 0);
+  const option = await evaluate("$('scene').selectedOptions[0]?.text");
+  check(`the list says ${option}`, option?.includes("one.p4dgs"));
 }
 
 /** Links: what they keep, and what is no value. */
@@ -186,30 +256,37 @@ async function links(browser) {
       shift: shift[2] / page.homeDistance(model) }))(page.state)`);
   };
   const found = await seen("#step=4&camera=100,-10,0.5,0,0,0.25&t=0.75");
-  const wanted = { step: "4", t: "0.75", azimuth: 100, name: "demo.p4dgs", playing: false };
+  const wanted = { step: "time", t: "0.75", azimuth: 100, name: "demo.p4dgs", playing: false };
   for (const [key, value] of Object.entries(wanted)) {
     check(`a link: ${key} is ${found[key]}`, found[key] === value);
   }
   check(`a link: the shift is ${found.shift}`, Math.abs(found.shift - 0.25) < 1e-9);
-  for (const bad of ["step=9&camera=1,2&t=7&file=3", "step=<b>&camera=a,b,c,d,e,f&t=&%", "x"]) {
-    await evaluate(`location.hash = "step=3"`);
-    await until(browser, "document.body.dataset.step === '3'", "step 3 is not reached");
+  for (const bad of ["step=9&camera=1,2&t=7&file=9", "step=<b>&camera=a,b,c,d,e,f&t=&%", "x"]) {
+    await evaluate(`location.hash = "step=prediction"`);
+    await until(browser, "document.body.dataset.step === 'prediction'", "no step prediction");
     await evaluate(`location.hash = ${JSON.stringify(bad)}`);
-    const said = `${bad} does not lead to step 1`;
-    await until(browser, "document.body.dataset.step === '1' && page.state.playing", said);
+    const said = `${bad} does not lead to the first step`;
+    await until(browser, "document.body.dataset.step === 'scene' && page.state.playing", said);
   }
   const coarse = readFileSync(join(ROOT, "tutorials", "tour", "rate_times_100.p4dgs"));
-  const first = JSON.stringify({ name: "coarse.p4dgs", base64: base64(coarse) });
+  const two = { "coarse.p4dgs": coarse, "demo.p4dgs": readFileSync(DEMO) };
+  const held = Object.entries(two).map(([name, data]) => ({ name, base64: base64(data) }));
   const page = readFileSync(join(ROOT, "tutorials", "viewer", "demo.html"), "utf8");
-  writeFileSync(at("two.html"), page.replace('id="files">[', `id="files">[${first}, `));
+  const filled = (text) => `id="files">${JSON.stringify(text)}</script>`;
+  writeFileSync(at("two.html"), page.replace(/id="files">.*<\/script>/, filled(held)));
   const other = await seen("#step=2&file=2", String(pathToFileURL(at("two.html"))));
-  check(`file 2 is ${other.name}`, other.name === "demo.p4dgs" && other.step === "2");
-  await evaluate("location.hash = 'step=6'");
-  await until(browser, "document.body.dataset.step === '6'", "the address is not followed");
+  const color = "[...document.querySelectorAll('[data-link]'), document.body].map(colorOf)";
+  const colors = await evaluate(`(colorOf => ${color})((one) => getComputedStyle(one).color)`);
+  check(`dead links have the colours ${colors}`, new Set(colors).size === 1);
+  const dots = await evaluate("document.querySelectorAll('#steps [value]:not([hidden])').length");
+  check(`${dots} steps without files of other lambda`, dots === 9);
+  check(`file 2 is ${other.name}`, other.name === "demo.p4dgs" && other.step === "children");
+  await evaluate("location.hash = 'step=context'");
+  await until(browser, "document.body.dataset.step === 'context'", "the address is not followed");
   check("another file", (await evaluate("page.state.name")) === "demo.p4dgs");
   await evaluate("page.aim({ azimuth: 77 })");
   const length = await evaluate("history.length");
-  await until(browser, "/step=6&file=2&camera=77,.*&t=/.test(location.hash)", "no address");
+  await until(browser, "/step=context&file=2&camera=77,.*&t=/.test(location.hash)", "no address");
   check("the history grows", (await evaluate("history.length")) === length);
   const granted = { permissions: ["clipboardReadWrite", "clipboardSanitizedWrite"] };
   await browser.send("Browser.grantPermissions", granted);
@@ -222,6 +299,37 @@ async function links(browser) {
   check(`links ${hrefs}`, hrefs.length === 3 && hrefs.every((href) => href.startsWith("file:")));
 }
 
+/** Of the three balls, and of what is behind them. */
+async function surfaces(browser) {
+  const { evaluate } = browser;
+  await window(browser, SIZES[0]);
+  await show(browser, `${ours("demo.html")}#step=children`, 128);
+  await until(browser, "page.state.frame.camera.size[0] === 128", "no picture of 128 pixels");
+  const found = await evaluate(`(() => {
+    const { frame } = page.state;
+    const isBehind = layers.behindSurface(frame);
+    const order = p4dgs.frontToBack(frame.splats);
+    const { image } = p4dgs.compositing(frame.splats, draw.settings(frame.model, frame.camera));
+    const counts = [0, 0, 0];
+    for (let i = 0; i < image.length; i += 3) {
+      const pixel = [...image.slice(i, i + 3)];
+      const most = Math.max(...pixel);
+      const isVivid = pixel.filter((v) => 1.3 * v < most).length === 2 && most > 0.2;
+      if (isVivid) counts[pixel.indexOf(most)] += 1;
+    }
+    return { counts, first: isBehind(order[0]), share: order.filter(isBehind).length / order.length };
+  })()`);
+  check(`pixels of the balls: ${found.counts}`, found.counts.every((count) => count > 250));
+  const said = `${found.share} of the children are behind a surface`;
+  check(said, !found.first && found.share > 0.2 && found.share < 0.8);
+  await evaluate("location.hash = 'step=bits'");
+  await until(browser, "$('strip').offsetParent", "no strip");
+  const colors = await evaluate(`[...$("strip").children, $("play")].map((one) =>
+    getComputedStyle(one).backgroundColor)`);
+  const [plain] = colors.splice(-1);
+  check(`the strip has the colours ${colors}`, colors.every((color) => color !== plain));
+}
+
 /** Keys, mouse and full screen; a mouse that drags with Shift moves the scene. */
 async function hands(browser) {
   const { evaluate, send } = browser;
@@ -231,11 +339,11 @@ async function hands(browser) {
   const step = () => evaluate("document.body.dataset.step");
   const azimuth = await evaluate("page.state.azimuth");
   await press(browser, "ArrowRight");
-  check("an arrow key on the picture", (await step()) === "1");
+  check("an arrow key on the picture", (await step()) === "scene");
   check("it turns nothing", (await evaluate("page.state.azimuth")) !== azimuth);
   await evaluate("$('time').focus()");
   await press(browser, "ArrowRight", { windowsVirtualKeyCode: 39 });
-  check("an arrow key on the time", (await step()) === "1");
+  check("an arrow key on the time", (await step()) === "scene");
   const drag = async (modifiers) => {
     const mouse = { button: "left", modifiers, clickCount: 1 };
     await send("Input.dispatchMouseEvent", { type: "mousePressed", x: 300, y: 300, ...mouse });
@@ -330,7 +438,7 @@ async function wishes(browser) {
   const { evaluate, send } = browser;
   await window(browser, SIZES[0], { isStill: true });
   await show(browser, ours("demo.html"));
-  for (const [step, coarser] of [[1, "0"], [3, "0"], [5, "4"]]) {
+  for (const [step, coarser] of [["scene", "0"], ["prediction", "0"], ["steps", "4"]]) {
     await evaluate(`location.hash = "step=${step}"`);
     await wait(300);
     const still = `!page.state.playing && !page.state.turning &&
@@ -352,7 +460,7 @@ async function wishes(browser) {
   await send("Emulation.setScriptExecutionDisabled", { value: false });
   const said = await evaluate("document.body.innerText");
   check("no word of JavaScript", /switched off/.test(said));
-  check("the texts are not shown", /8\. Break it/.test(said) && !/Pause|Keys:/.test(said));
+  check("the texts are not shown", /9\. Break it/.test(said) && !/Pause|Keys:/.test(said));
   if (!isQuick) await photograph(browser, "no_script.png");
 }
 
@@ -380,7 +488,7 @@ function command(line) {
 /** What the driver compares with: pictures of the test views, and other files. */
 function checks() {
   command(`render ${DEMO} --scene bouncing --settings exact -o ${at("views")}`);
-  command(`train bouncing --preset smoke --set anchors=5000 --quiet -o ${at("large")}`);
+  command(`train bouncing --preset smoke --set anchors=5000 --quiet --yes -o ${at("large")}`);
   command(`encode ${at("large")} -o ${at("large.p4dgs")}`);
   command(`view ${at("large.p4dgs")} -o ${at("large.html")}`);
   const frames = readFileSync(join(ROOT, "tiny_scenes/bouncing/transforms_test.json"), "utf8");
@@ -405,7 +513,7 @@ async function main() {
     for (const [size, theme] of isQuick ? [windows[0], windows[5]] : windows) {
       await walk(browser, size, theme);
     }
-    for (const part of [links, hands, slowness, fingers, wishes]) await part(browser);
+    for (const part of [lambdas, surfaces, links, hands, slowness, fingers, wishes]) await part(browser);
   });
   if (isQuick) return;
   const known = JSON.stringify(checks());

@@ -4,12 +4,18 @@
 // with the package's pictures of them, bad files, good ones of all kinds, one of 5,000 anchors.
 (async function () {
   "use strict";
-  const { p4dgs, draw, page, layers, requantise, checks } = globalThis;
+  const { p4dgs, draw, page, layers, explain, requantise, checks } = globalThis;
   const $ = (id) => document.getElementById(id);
   const found = { wrong: [], layers: [] };
   const check = (said, isSo) => isSo || found.wrong.push(said);
   const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+
+  /** Until something is so; at most some seconds. */
+  async function until(isSo) {
+    for (let i = 0; i < 100 && !isSo(); i++) await wait(50);
+    return isSo();
+  }
 
   /** Until the page has drawn what was asked for. */
   const drawn = () =>
@@ -108,8 +114,6 @@
   // --- everything a visitor can do --------------------------------------------------------------
   async function controls() {
     await wait(600); // a picture at rest has all its pixels
-    await use("no-masks", true); // some children are then below tau_alpha
-    await wait(100);
     for (const name of Object.keys(layers.LAYERS)) {
       const before = pixelsOf($("above"));
       await use(`layer-${name}`, true);
@@ -117,8 +121,6 @@
       await use(`layer-${name}`, false);
       check(`the layer ${name} stays`, isSame(before, pixelsOf($("above"))));
     }
-    $("reset").click();
-    await drawn();
     for (const path of [false, true]) {
       await use("canvas-path", path);
       for (const what of ["canonical", "bits"]) {
@@ -133,8 +135,7 @@
     await use("canvas-path", false);
     const at = $("time").value;
     $("play").click();
-    await wait(600);
-    check("it does not play", $("time").value !== at);
+    check("it does not play", await until(() => $("time").value !== at));
     $("play").click();
     await drawn();
     const still = $("time").value;
@@ -144,15 +145,15 @@
 
   async function keysAndPointers() {
     const { state } = page;
-    for (const key of ["ArrowLeft", "ArrowUp", "+", "-", ".", "1", "6"]) {
-      const before = [picture(), pixelsOf($("above"))];
+    for (const key of ["ArrowLeft", "ArrowUp", "+", "-"]) {
+      const before = picture();
       await press(key);
-      const now = [picture(), pixelsOf($("above"))];
-      check(`the key ${key} does nothing`, !now.every((pixels, i) => isSame(pixels, before[i])));
+      check(`the key ${key} does nothing`, !isSame(before, picture()));
     }
-    for (const key of ["1", "6", "Home", "]"]) await press(key);
-    check("the key ] selects no anchor", state.selected === 0);
+    await press("Home");
+    await use("anchor", "0");
     await press("Escape");
+    check("Escape leaves an anchor", state.selected === null);
     const box = $("stage").getBoundingClientRect();
     const middle = [box.left + box.width / 2, box.top + box.height / 2];
     const [clientX, clientY] = middle;
@@ -164,7 +165,7 @@
     send("pointerup");
     await wait(300);
     check("a click selects no anchor", state.selected !== null);
-    check("no tables of the anchor", $("anchor-tables").querySelectorAll("table").length === 4);
+    check("no tables of the anchor", $("anchor-tables").querySelectorAll("table").length === 3);
     const turned = state.azimuth;
     send("pointerdown");
     send("pointermove", { clientX: clientX + 60 });
@@ -190,19 +191,14 @@
     await use("time", "0.3");
     await wait(600);
     const before = picture();
-    for (const [id, value] of [["coarser", "2"], ["no-masks", true]]) {
-      await use(id, value);
-      await wait(100);
-      check(`${id} changes nothing`, page.state.changed && !isSame(before, picture()));
-      check(`${id} tells no PSNR`, / dB|no difference/.test($("result").textContent));
-    }
+    await use("coarser", "2");
+    await wait(100);
+    check("coarser changes nothing", page.state.changed && !isSame(before, picture()));
+    check("coarser tells no PSNR", / dB/.test($("result").textContent));
     await use("no-context", true);
     await wait(100);
     const total = Object.values(page.state.changed.bytes).reduce((a, b) => a + b, 0);
     check(`${total} bytes of ${length}`, total > 0 && total < length);
-    $("unchanged").click();
-    await drawn();
-    check("the unchanged file is not shown", isSame(before, picture()));
     $("reset").click();
     for (const id of ["weight", "frequency"]) {
       await use(id, true);
@@ -216,22 +212,79 @@
     check("no change moves bytes", Object.entries(same.bytes).every(isOwn));
   }
 
+  /** The figures of the guide that react: splats of a pixel, signs of the grid, a bell. */
+  async function figures() {
+    const step = (name) => document.querySelector(`#steps [value=${name}]`).click();
+    const { state } = page;
+    step("splatting");
+    await use("splats", $("splats").max);
+    const all = picture();
+    for (const share of [0, 0.5]) {
+      await use("splats", String(Math.round(share * Number($("splats").max))));
+      check(`${share} of the splats give the whole picture`, !isSame(all, picture()));
+    }
+    const rests = [];
+    for (const share of [0, 0.15, 0.2, 0.25, 0.3, 0.5, 1]) {
+      const count = Math.round(share * Number($("splats").max));
+      await use("splats", String(count));
+      const { splats, model, camera } = state.frame;
+      const { transmittance } = p4dgs.compositing(splats, draw.settings(model, camera));
+      const [u, v] = state.pixel.map((share) => Math.round(share * camera.size[0] - 0.5));
+      const rest = Number(/background gets ([-\d.]+)/.exec($("pixel").innerText)[1]);
+      const gap = rest - transmittance[v * camera.size[0] + u];
+      check(`${count} splats leave ${rest} and ${gap}`, Math.abs(gap) < 0.01);
+      rests.push(rest);
+    }
+    check(`the pixel is left ${rests}`, rests[0] === 1 && rests.at(-1) < 0.1);
+    const before = $("pixel").innerText;
+    const box = $("stage").getBoundingClientRect();
+    const [clientX, clientY] = [box.left + box.width / 3, box.top + box.height / 2];
+    const pointer = { pointerId: 1, clientX, clientY, bubbles: true };
+    $("stage").setPointerCapture = () => {}; // there is no such pointer
+    for (const name of ["pointerdown", "pointerup"]) {
+      $("stage").dispatchEvent(new PointerEvent(name, pointer));
+    }
+    await drawn();
+    check("a click chooses no pixel", $("pixel").innerText !== before);
+    step("context");
+    const ownSteps = explain.steps(state.model, state.selected);
+    await until(() => $("steps-say").textContent.includes(ownSteps));
+    const [steps, said] = [$("steps-say").textContent, $("bell").innerText];
+    $("signs").firstChild.click();
+    check("a sign changes no step", await until(() => $("steps-say").textContent !== steps));
+    check("a sign changes no bell", $("bell").innerText !== said);
+    check("a sign changes no bytes", / bytes/.test($("result").textContent));
+    $("signs").firstChild.click();
+    check("a sign stays flipped", await until(() => $("steps-say").textContent === steps));
+    check("a change stays", !state.changed && $("bell").innerText === said);
+    step("bits");
+    await drawn();
+    const own = requantise.bitsOfAnchor(state.model, state.selected)[0];
+    const bits = () => Number(/([\d.]+) bits/.exec($("bell").innerText)[1]);
+    check(`the bell says ${bits()} bits, not ${own}`, Math.abs(bits() - own) < 0.01);
+    for (const [name, value] of [["mu", "0.5"], ["sigma", "1"], ["q", "1"]]) {
+      await use(`bell-${name}`, value);
+      check(`the bell ignores ${name}`, Math.abs(bits() - own) > 0.1);
+      $("bell-own").click();
+      check(`the bell keeps ${name}`, Math.abs(bits() - own) < 0.01);
+    }
+    $("to-explore").click();
+    await use("shown", "scene");
+  }
+
   /** The stage with each layer, as PNG in base64, its name below: pictures for an animation. */
   async function photographs() {
     await press("Escape");
     const shots = [photograph("The scene")];
     for (const { id } of document.querySelectorAll("#layers input")) {
-      await use("no-masks", id === "layer-hidden"); // in the demo only masked children are below
-      await wait(100);
       await use(id, true);
-      if (id === "layer-grid") await use("anchor", "40");
+      await use("anchor", /grid|families/.test(id) ? "29" : ""); // the one of the tutorials
       shots.push(photograph(document.querySelector(`label[for=${id}]`).textContent));
       await use(id, false);
     }
     await press("Escape");
     await use("shown", "bits");
     shots.push(photograph("Bits of each anchor"));
-    $("reset").click();
     await use("shown", "scene");
     return shots;
   }
@@ -281,7 +334,8 @@
       await use("coarser", "3");
       await wait(100);
       check(`${file} does not open`, page.state.name === file && page.state.changed);
-      for (const dot of document.querySelectorAll("#steps [value]")) {
+      check(`${file} is not in the list`, $("scene").selectedOptions[0]?.text.includes(file));
+      for (const dot of document.querySelectorAll("#steps [value]:not([hidden])")) {
         dot.click();
         await drawn();
         check(`${file}, step ${dot.value}`, !/undefined|NaN/.test(document.body.innerText));
@@ -307,6 +361,7 @@
     await controls();
     await keysAndPointers();
     await coarser();
+    await figures();
     found.layers = await photographs();
     await otherFiles();
   } catch (error) {

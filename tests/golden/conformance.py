@@ -14,29 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from p4dgs_ref.codec.container import write_container
-from p4dgs_ref.codec.file import attribute_columns, sections_of
-from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
-from p4dgs_ref.oracle.streams import STREAMS, TYPES, arrays_of
+from p4dgs_ref.oracle.streams import STREAMS, TYPES
 from tests.golden.conformance_bad import forgeries
-from tests.golden.conformance_good import GOOD
-
-
-def stream_of(maker):
-    """Build one good stream: (quantised, sections)."""
-    made = maker()
-    parts, symbols = made if isinstance(made, tuple) else (made, None)
-    quantised = parts.quantised(symbols)
-    sections, ctx = sections_of(quantised), quantised.context
-    for name, columns in attribute_columns(parts.design):
-        if name in parts.lanes:
-            kept = quantised.kept[:, columns]
-            arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
-            coded = [array[:, columns][kept] for array in arrays]
-            sections[name] = encode_gaussian(*coded, parts.lanes[name])
-    if "hash_grid" in parts.lanes:
-        signs = np.concatenate([grid.ravel() for grid in parts.grids])
-        sections["hash_grid"] = encode_bits(signs > 0, parts.lanes["hash_grid"])
-    return quantised, sections
+from tests.golden.conformance_good import GOOD, stream_of
+from tests.golden.decoded import arrays_of
 
 
 def files():

@@ -6,7 +6,9 @@ The texts of GOOD are published in the manifest.
 import numpy as np
 
 from p4dgs_ref.codec.context import coding_context
+from p4dgs_ref.codec.file import attribute_columns, sections_of
 from p4dgs_ref.codec.quantise import Quantised, coded_columns
+from p4dgs_ref.codec.streams import encode_bits, encode_gaussian
 from p4dgs_ref.model import Anchors, Design, Model, split, unsnap
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 
@@ -367,3 +369,21 @@ GOOD = {
     "ties": ("weights half-way between two fixed-point integers: to even", ties),
     "full": ("every effect, every section", full),
 }
+
+
+def stream_of(maker):
+    """Build one good stream: (quantised, sections)."""
+    made = maker()
+    parts, symbols = made if isinstance(made, tuple) else (made, None)
+    quantised = parts.quantised(symbols)
+    sections, ctx = sections_of(quantised), quantised.context
+    for name, columns in attribute_columns(parts.design):
+        if name in parts.lanes:
+            kept = quantised.kept[:, columns]
+            arrays = (quantised.symbols, ctx.mu_units, ctx.sigma_units)
+            coded = [array[:, columns][kept] for array in arrays]
+            sections[name] = encode_gaussian(*coded, parts.lanes[name])
+    if "hash_grid" in parts.lanes:
+        signs = np.concatenate([grid.ravel() for grid in parts.grids])
+        sections["hash_grid"] = encode_bits(signs > 0, parts.lanes["hash_grid"])
+    return quantised, sections

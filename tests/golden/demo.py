@@ -13,9 +13,9 @@ from p4dgs_ref.arithmetic import arithmetic
 DEMO = Path(__file__).parent / "data" / "demo.json"
 
 
-def file():
-    """The demo's file."""
-    return p4.encode(p4.train(p4.load_scene("bouncing"), preset="tiny", seed=0))
+def file(**changes):
+    """The demo's file, or one of a preset with some fields changed."""
+    return p4.encode(p4.train(p4.load_scene("bouncing"), preset="tiny", seed=0, **changes))
 
 
 def sha256(data):

@@ -19,8 +19,8 @@ from p4dgs_ref.codec.header import write_header
 from p4dgs_ref.codec.quantise import quantise
 from p4dgs_ref.codec.streams import find_entries
 from p4dgs_ref.model import Anchors, Design, Model
-from p4dgs_ref.oracle import streams
 from tests.golden.cases import Case
+from tests.golden.decoded import arrays_of
 from tests.golden.flat import NETWORKS, flat_networks, networks_of, shapes_of
 from tests.golden.sample_model import sample_model
 from tests.golden.subjects import Subject, no_pullback
@@ -68,7 +68,7 @@ def quantiser_vjp(**inputs):
     """
     others, networks = apart(inputs)
     quantised = quantise(model_of(**others, networks=networks))
-    arrays = {name: a for name, (_, a) in streams.arrays_of(quantised).items()}
+    arrays = {name: a for name, (_, a) in arrays_of(quantised).items()}
     names = ("positions", "signs", "h", "q_units", "mu_units", "sigma_units", "symbols")
     outputs = {name: np.asarray(arrays[name]).astype(np.int32) for name in names}
     return {**outputs, "kept": quantised.kept}, no_pullback

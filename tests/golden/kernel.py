@@ -25,8 +25,8 @@ from p4dgs_ref.oracle.published import flatten
 from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import KERNEL
 from tests.golden import stages
-from tests.golden.flat import as_published, camera_of
-from tests.golden.subjects import no_pullback
+from tests.golden.flat import camera_of
+from tests.golden.subjects import as_published, no_pullback
 
 TILE, MASK, STOP, ALPHA_MAX = 16, 1 / 255, 1e-4, 0.99
 CONSTANTS = {"tile": TILE, "mask": MASK, "stop": STOP, "alpha_max": ALPHA_MAX}

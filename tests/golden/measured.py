@@ -62,7 +62,7 @@ def largest_error(subject, inputs, cotangents, tensors):
 
     `tensors` has what is expected, and the scales. The error is infinite where float32 with float64
     inside fails. Where float32 throughout is off by more than LARGEST, it cannot hold the case,
-    which is the business of `tests/golden/printed.py`.
+    which is what `printed_v1.safetensors` of the oracle is for.
     """
     error = 0.0
     for answer in (subject.answer, *subject.twins):

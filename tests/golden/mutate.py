@@ -8,9 +8,11 @@ users of the module already hold. Afterwards the old code is put back.
 
 import ast
 import importlib
+import inspect
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
+from operator import attrgetter
 from os.path import commonprefix
 from pathlib import Path
 from typing import NamedTuple
@@ -124,9 +126,9 @@ def mutations():
 def mutations_of(module, equation):
     """Every mutation of one file."""
     results = []
-    for statement in parsed(module):
-        owner, counts = owner_of(statement), {}
-        if owner is None or owner in NOT_COMPUTED | REFUSALS | PORTIONS:
+    for owner, statement in owners(module):
+        counts = {}
+        if owner in NOT_COMPUTED | REFUSALS | PORTIONS:
             continue
         for operator, place, new, shown in sites(statement):
             counts[operator] = counts.get(operator, 0) + 1
@@ -150,6 +152,17 @@ def mutations_of(module, equation):
 def parsed(module):
     """The top-level statements of a file; the same objects at every call."""
     return ast.parse(source(module)).body
+
+
+def owners(module):
+    """Yield (name, statement) of constants, functions and undecorated methods: Adam.step."""
+    for statement in parsed(module):
+        inner = statement.body if isinstance(statement, ast.ClassDef) else ()
+        for method in inner:
+            if isinstance(method, ast.FunctionDef) and not method.decorator_list:
+                yield f"{statement.name}.{method.name}", method
+        if owner_of(statement) is not None:
+            yield owner_of(statement), statement
 
 
 def source(module):
@@ -371,7 +384,8 @@ def applied(mutation):
     if mutation.is_function:
         with put(mutation.place, mutation.new):
             exec(compile(ast.Module([mutation.statement], []), mutation.id, "exec"), scratch)
-        function, other = getattr(module, mutation.owner), scratch[mutation.owner]
+        function = inspect.unwrap(attrgetter(mutation.owner)(module))  # of what a cache holds
+        other = inspect.unwrap(scratch[mutation.owner.rpartition(".")[2]])
         kept = function.__code__, function.__defaults__, function.__kwdefaults__
         function.__code__, function.__defaults__, function.__kwdefaults__ = (
             other.__code__,

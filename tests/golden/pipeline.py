@@ -23,12 +23,11 @@ from p4dgs_ref.training.trainer import LEARNING_RATES
 from tests.golden.flat import (
     EMPTY,
     NETWORKS,
-    as_published,
     camera_of,
     flat_networks,
     networks_of,
 )
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 MODEL = FOLDER / "model.p4dgs"
 STEPS = 10

@@ -17,14 +17,14 @@ from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import FIELDS, SMOKE
 from p4dgs_ref.training.trainer import Trainer
-from tests.golden.flat import as_published, camera_of
+from tests.golden.flat import camera_of
 from tests.golden.pipeline import (
     ARRAYS,
     LOSSES,
     by_step,
     joined,
 )
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 ROLES = {"": "parameters", "m_": "first", "v_": "second"}
 SUMS = ("visits", "opacity", "gradient", "seen")

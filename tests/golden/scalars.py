@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from p4dgs_ref import EQUATIONS
-from p4dgs_ref.scenes.dnerf import make_camera
+from p4dgs_ref.scenes.dnerf import lens_of
+from p4dgs_ref.scenes.files import make_view
 from p4dgs_ref.splatting import covariance
-from tests.golden.flat import as_published
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 
 def identity(y):
@@ -60,8 +60,11 @@ def lens_vjp(downscale, **fields):
     are None. cx and cy count from the image's corner, `center` from the centre of its first pixel:
     c_x = cx / downscale - 1/2.
     """
-    lens = SimpleNamespace(**fields, camera_angle_y=None)
-    camera = make_camera(np.eye(3), np.zeros(3), lens, lens.w, lens.h, downscale)
+    distortion = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
+    frame = SimpleNamespace(**fields, **distortion, camera_angle_y=None, where="lens")
+    lens, picture = lens_of(frame, frame.w, frame.h), np.zeros((frame.h, frame.w, 3), np.float32)
+    pose = np.eye(3), np.zeros(3)
+    camera = make_view("", picture, lens, *pose, 0.0, np.zeros(3), downscale, "lens").camera
     outputs = {
         "focal": np.array([camera.f_x, camera.f_y]),
         "center": np.array([camera.c_x, camera.c_y]),

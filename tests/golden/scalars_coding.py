@@ -6,9 +6,8 @@ import numpy as np
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.equations.grid_nodes import entries, nodes
-from tests.golden.flat import as_published
 from tests.golden.scalars import identity
-from tests.golden.subjects import no_pullback
+from tests.golden.subjects import as_published, no_pullback
 
 
 # --- the hash grid ------------------------------------------------------------------------------

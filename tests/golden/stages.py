@@ -11,11 +11,11 @@ from p4dgs_ref.splatting import factored, render
 from p4dgs_ref.splatting.settings import EXACT
 from tests.golden.flat import (
     EMPTY,
-    as_published,
     camera_of,
     flat_gradients,
     networks_of,
 )
+from tests.golden.subjects import as_published
 
 
 # --- Fig. 1: anchors -> canonical Gaussians -----------------------------------------------------

@@ -6,7 +6,8 @@ from p4dgs_ref import EQUATIONS, model
 from p4dgs_ref.equations.grid_nodes import locate
 from p4dgs_ref.model import Context
 from p4dgs_ref.training import objective
-from tests.golden.flat import EMPTY, as_published, flat_gradients, networks_of
+from tests.golden.flat import EMPTY, flat_gradients, networks_of
+from tests.golden.subjects import as_published
 
 
 # --- positions -> steps and priors --------------------------------------------------------------

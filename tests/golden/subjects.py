@@ -8,10 +8,13 @@ from functools import cache
 from itertools import pairwise
 from typing import Callable, NamedTuple
 
+import numpy as np
+
 from p4dgs_ref.oracle import published, tolerance
+from p4dgs_ref.oracle.compare import cast, expected
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden import shape_comments
-from tests.golden.cases import cases_of
+from tests.golden.cases import Case, cases_of
 from tests.golden.hard_cases import catalogue
 from tests.golden.sixty_digits.gradients import FORMULAS
 
@@ -58,6 +61,40 @@ class Subject(NamedTuple):
 def no_pullback(**cotangents):
     """The pullback of a subject without gradients."""
     return {}
+
+
+def as_published(key, vjp, cases=None, **more):
+    """Return a Subject whose declaration, and cases where none are given, are the published ones.
+
+    Those inputs were drawn once by random numbers that mean nothing; the vectors hold them.
+    """
+    row = published.subjects()[key]
+
+    def frozen():
+        dtype = np.float64 if more.get("single") else None
+        for case in published.cases(key):
+            inputs, cotangents = (cast(a, dtype) for a in (case.inputs(), case.cotangents()))
+            flags = tuple(case.record["flags"])
+            yield Case(case.name, inputs, flags, True, cotangents, closed_form(case))
+
+    return Subject(
+        **{name: row[name] for name in ("key", "level", "equation", "number", "formula", "shapes")},
+        gradients=tuple(row["differentiable"]),
+        vjp=vjp,
+        cases=cases or frozen,
+        constants=row["constants"],
+        group=row.get("group", ""),
+        **more,
+    )
+
+
+def closed_form(case):
+    """Return the outputs and gradients of a published case that are closed forms, {name: array}."""
+    if case.record["provenance"] != "closed form":
+        return {}
+    others = case.record.get("reference", ())
+    known = {name: a for name, a in expected(case.tensors).items() if name not in others}
+    return {n.split(".")[1] + "_bar" * n.startswith("in_bar."): a for n, a in known.items()}
 
 
 def equation(key):

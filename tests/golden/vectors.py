@@ -22,7 +22,6 @@ from p4dgs_ref import EQUATIONS, __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
 from p4dgs_ref.oracle.compare import cast, expected
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
-from p4dgs_ref.oracle.streams import write_streams
 from p4dgs_ref.output import staged_folder
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
@@ -44,6 +43,16 @@ ACCEPTABLE = {
     },
 }
 
+# `in.size` was F64 in these cases alone, so that it was moved like other floats to measure S.
+# Its numbers have not changed, nor has anything else.
+RETYPED = {
+    f"projection/H-{name}"
+    for name in (
+        *("G1.culled", "G1.beyond_near", "G2.beyond_the_clamp", "G3.1e4px", "G3.1e3px"),
+        *("G3.100px", "G4.scale0", "G4.scale1e-30", "G4.scale1e30"),
+    )
+}
+
 
 def vector(subject, case):
     """Return the record of one case for the manifest, without places, and its tensors."""
@@ -52,7 +61,10 @@ def vector(subject, case):
     cotangents = tolerance.cotangents_of(subject, subject(**case.inputs), id)
     cotangents |= {n: bar for n, bar in case.cotangents.items() if n in cotangents}
     flat = subject.answer(case.inputs, cotangents)
-    scale = tolerance.scales(steady(subject, case), case.inputs, cotangents, flat, case.name)
+    moved = {**case.inputs}
+    if id in RETYPED:
+        moved["size"] = moved["size"].astype(float)
+    scale = tolerance.scales(steady(subject, case), moved, cotangents, flat, case.name)
     better, provenance, by_reference = independent.values(subject, case, cotangents, flat)
     scale |= {n: np.full_like(S, S.max()) for n, S in scale.items() if n in subject.even}
     flat.update(better)
@@ -345,7 +357,7 @@ def regenerate(folder, progress):
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
         write(place, progress)
-        write_streams(place)
+        shutil.copytree(streams.STREAMS, place / "streams")
 
 
 def main():

@@ -11,7 +11,7 @@ from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.equations import deformation
+from p4dgs_ref.equations import deformation, offsets
 from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.accuracy import trainings
 from p4dgs_ref.lab.writer import read_csv
@@ -50,6 +50,16 @@ def test_only_listed_effects_take_work_and_bytes(name):
         assert on["work"] > 0 and (sizes > 0) == (row["effect"] in (*MOTION, *VIEW))
     moving = ["view", "positional_encoding", "deformation", "deformed"]
     assert result["never_called"] == (moving if name == "static" else [])
+
+
+def test_what_interrupts_an_equation_stays_the_error_while_work_is_counted():
+    class Stopped:
+        def __getitem__(self, key):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), effect_ledger.counted() as work:
+        offsets.forward(Stopped(), 1, 1)
+    assert not work.calls
 
 
 def test_work_that_effects_share_belongs_to_none_of_them():

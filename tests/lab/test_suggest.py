@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from p4dgs_ref import output
 from p4dgs_ref.cli import lab as commands
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.effects import MOTION
@@ -213,3 +214,28 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, run, ca
     assert run(f"effects {folder} --suggest --apply --yes") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == kept
+
+
+def test_a_list_that_cannot_be_written_is_refused_before_the_work(folder, run, monkeypatch, capsys):
+    monkeypatch.setattr(suggest, "suggest", lambda *arguments: pytest.fail("the work began"))
+    (folder / "scene.json").mkdir()
+    assert run(f"effects {folder} --suggest --apply --yes") == 2
+    assert "scene.json: a directory" in capsys.readouterr().err
+    (folder / "scene.json").rmdir()
+
+    def read_only(*arguments, **settings):
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr(output, "TemporaryDirectory", read_only)
+    assert run(f"effects {folder} --suggest --apply --yes") == 2
+    said = f"{folder}: expected a folder that can be written to (Permission denied)"
+    assert said in capsys.readouterr().err
+
+
+def test_a_suggestion_that_is_stopped_promises_nothing(folder, run, monkeypatch, capsys):
+    def stopped(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(suggest, "suggest", stopped)
+    assert run(f"effects {folder} --suggest --yes") == 130
+    assert capsys.readouterr().err.endswith("p4dgs-ref: stopped\n")

@@ -5,6 +5,7 @@ Also the commands, and what they export.
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -197,6 +198,72 @@ def test_a_python_function_is_judged():
     assert {r.verdict for r in oracle.check(lambda **inputs: 1 / 0, "offsets").results} == {"error"}
     with pytest.raises(KeyError, match="expected one of"):
         oracle.check(lists, "offset")
+
+
+def x_of(x_a, O_a, l_a):
+    return x_a[:, None] + O_a * l_a[:, None]
+
+
+def writes(x_a, O_a, l_a):
+    l_a += 1
+    return x_of(x_a, O_a, l_a - 1)
+
+
+def zeroed(bars):
+    bars["x_bar"][...] = 0
+    return {}
+
+
+WRONG_KINDS = {
+    "changes its input": (writes, None, "the function changes its argument l_a"),
+    "changes a cotangent": (x_of, lambda i, bars: zeroed(bars), "changes its argument x_bar"),
+    "masked": (lambda **i: np.ma.array(x_of(**i), mask=True), None, "without masked elements"),
+    "float32": (lambda **i: x_of(**i).astype("f4"), None, "out.x: expected float64, in which"),
+    "wide": (lambda **i: x_of(**i).astype(np.longdouble), None, "got float128"),
+    "two": (lambda **i: (1, 2), None, "expected the outputs x, got 2 of them"),
+    "gradients in no dictionary": (x_of, lambda i, bars: 5, "dictionary of gradients, got one int"),
+    "ends": (lambda **_: sys.exit("no device"), None, "SystemExit: no device"),
+}
+
+
+@pytest.mark.parametrize("forward, vjp, says", WRONG_KINDS.values(), ids=WRONG_KINDS)
+def test_an_answer_of_the_wrong_kind_is_named_in_a_line(forward, vjp, says):
+    results = oracle.check(forward, "offsets", vjp).results
+    assert all(result.wrong and says in result.explanation for result in results), results[0]
+
+
+@pytest.mark.parametrize(
+    "forward, vjp, says",
+    [
+        (lambda **_: None, None, "expected the outputs x_t, s_t, r_t, got one NoneType"),
+        (lambda **_: x_of, None, "got one function"),
+        (lambda **_: (1, 2), None, "got 2 of them"),
+        (EQUATIONS["deformed"], lambda i, bars: None, "got one NoneType"),
+    ],
+)
+def test_so_are_those_of_several_outputs(forward, vjp, says):
+    assert says in oracle.check(forward, "deformed", vjp).first.explanation
+
+
+def test_a_list_of_gradients_is_a_list():
+    eq = EQUATIONS["deformation"]
+    for wrong in x_of, None, 5.0:
+        (first, *_) = oracle.check(eq, "deformation", lambda i, b: {"weights": wrong}).results
+        assert "weights: expected a list of arrays" in first.explanation
+
+
+def test_the_precision_is_said_and_a_case_may_be_alone():
+    single = oracle.check(x_of, "offsets", dtype="float32")
+    assert single.ok and report.as_json(single)["dtype"] == "float32"
+    seen = []
+    oracle.check(lambda **i: seen.append(i["l_a"].dtype.name), "offsets", dtype="float32")
+    assert {*seen} == {"float32"}
+    alone = oracle.check(x_of, "offsets/ordinary")
+    assert alone.ok and [r.id for r in alone.results] == ["offsets/ordinary"]
+    with pytest.raises(KeyError, match="did you mean 'offsets/ordinary'"):
+        oracle.check(x_of, "offsets/ordinari")
+    unasked = oracle.check(lambda x_a, x_c: 1 / 0, "view/far", dtype="float32").results
+    assert [r.verdict for r in unasked] == ["unasked"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from p4dgs_ref.oracle import published
-from tests.golden import kill_matrix
+from tests.golden import kill_matrix, training_mutants
 from tests.golden.equivalent import EQUIVALENT
 from tests.golden.kill_matrix import committed, is_killed, laboratory, matrix
 from tests.golden.mutate import applied, mutations
@@ -38,6 +38,16 @@ def test_some_mutations_again(judge, hasty):
 @pytest.mark.usefixtures("right_reference")
 def test_everything_again(judge):
     assert matrix(judge) == committed()
+
+
+# --- the training -------------------------------------------------------------------------------
+@pytest.mark.usefixtures("right_reference")
+def test_the_bounds_of_steps_of_training_hide_no_mutation(hasty):
+    """What 64 eps S notice, the published bounds of up to 2048 notice as well: 374 of 419."""
+    known = training_mutants.mutations()
+    assert len(known) > 400
+    verdicts = [training_mutants.noticed(mutation) for mutation in DRAW.sample(known, 12)]
+    assert all(published == narrow for published, narrow in verdicts) and any(map(any, verdicts))
 
 
 # --- the judge ----------------------------------------------------------------------------------

@@ -1,13 +1,11 @@
-"""A right port with fewer digits passes or is acceptable, and nothing else is.
-
-A port on a formula as printed is right; a tensor that is off by 1e-3, zero or negated is wrong.
-"""
+"""A right port with fewer digits passes or is acceptable; `test_perturbed` has what is wrong."""
 
 import json
 
 import numpy as np
 import pytest
 
+from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
@@ -35,6 +33,24 @@ def test_a_formula_as_printed_is_acceptable_and_fails_strictly(tmp_path, capsys)
     assert json.loads(capsys.readouterr().out)["levels"]["L0"]["acceptable"] == 1
     assert cli.run([*check, "--strict"], 0.0) == 1
     assert json.loads(capsys.readouterr().out)["first_divergence"] == "opacity"
+
+
+def printed_view(x_a, x_c):
+    """The root of a sum of squares, which overflows and underflows at distances of 1e+-200."""
+    ray = x_a - x_c
+    delta = np.sqrt((ray**2).sum(axis=1, keepdims=True))
+    with np.errstate(all="ignore"):
+        return delta, np.where(delta + abs(ray).max(initial=0) > 0, ray / delta, 0)
+
+
+def test_where_a_formula_overflows_the_report_names_the_case_and_the_recipe():
+    with np.errstate(over="ignore", under="ignore"):
+        said = str(oracle.check(printed_view, "view"))
+        nan = oracle.check(lambda **i: (printed_view(**i)[0], np.nan * i["x_a"]), "view/far")
+        strict = oracle.check(printed_view, "view", strict=True)
+    assert "too: view/far, view/near\n  what keeps the digits: delta_vc by hypot" in said
+    assert [finding.tensor for finding in nan.first.findings] == ["out.d_vc"]
+    assert {"view/far", "view/near"} <= {r.id for r in strict.results if r.wrong}
 
 
 # --- wrong formulas -----------------------------------------------------------------------------
@@ -71,7 +87,7 @@ RANGES = [
     (id, precision, name.removeprefix("range."))
     for (id, precision), tensors in scales.measured().items()
     for name in tensors
-    if name.startswith("range.") and name != "range.out.visible"
+    if name.startswith("range.")
 ]
 
 
@@ -91,7 +107,22 @@ def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
         gone = np.where(lost, value, a).astype(precision)
         result = checker.judge_answer(case, {**right, name: gone})
         near_zero = value == 0 and result.verdict == "pass"  # 0 may be within the bound
-        assert near_zero or result.verdict == "acceptable" or name in result.unasked
+        is_nan = np.isnan(value) and name.startswith("out.")
+        assert near_zero or is_nan == (result.verdict == "fail") != (name in result.unasked)
+
+
+@pytest.mark.parametrize("name", ["H-G3.1e4px", "H-G4.scale1e30"])
+def test_what_float32_culls_is_zero_in_all_tensors_or_wrong(name):
+    case = case_of(f"projection/{name}")
+    right = in_precision(expected(case.tensors), "float32")
+    culled = {n: np.zeros_like(a) for n, a in right.items()}
+    assert checker.judge_answer(case, culled).verdict == "acceptable"
+    for got, changes in (right, {"out.visible": ~right["out.visible"]}), (culled, right):
+        for tensor in changes.keys() - case.unasked("float32"):
+            for wrong in (changes[tensor], changes[tensor] * np.float32(np.nan)):
+                result = checker.judge_answer(case, got | {tensor: wrong})
+                is_same = np.array_equal(wrong, got[tensor])
+                assert is_same or result.verdict == "fail", tensor
 
 
 # --- the data -----------------------------------------------------------------------------------
@@ -119,52 +150,6 @@ NOT_ASKED = {
     "likelihood/H-R5.width1000": None,
     "likelihood/H-R5.width1e+06": None,
 }
-
-
-def perturbed(a, S):
-    """Return a tensor off by 1e-3, zero and negated.
-
-    What is all zero is changed by 1e-3 of its S, and by 1e-3 where S is 0.
-    """
-    if a.dtype.kind == "b":
-        return [~a]
-    if a.dtype.kind != "f":
-        return [a + 1, -a - 1]
-    if a.any():
-        return [1.001 * a, np.zeros_like(a), -a]
-    return [sign * 1e-3 * np.where(S == 0, 1, S) for sign in (1, -1)]
-
-
-def judgements(case, dtype):
-    """Yield (name, Result) of every wrong tensor alone, in turn."""
-    scale_of = {**case.tensors, **scales.measured().get((case.id, dtype), {})}
-    for name, right in expected(case.tensors).items():
-        if name not in case.unasked(dtype) and right.size:
-            alone = {n: case.tensors[n] for n in (name, "scale." + name) if n in case.tensors}
-            for wrong in perturbed(right, scale_of.get("scale." + name)):
-                got = in_precision({name: wrong}, dtype)
-                yield name, checker.judge_answer(case._replace(tensors=alone), got)
-
-
-# What holds of the arrays of a training holds of those of its every step, which take a minute.
-KEYS = [key for key in published.subjects() if not key.endswith("_steps")]
-
-
-@pytest.mark.parametrize(
-    "key, dtype",
-    few([(key, t) for key in KEYS for t in ("float64", "float32")], 10),
-)
-def test_no_wrong_tensor_passes(key, dtype):
-    """Nor is it acceptable: where the printed formula is as far off, the tensor is not judged."""
-    results = [(case, *row) for case in published.cases(key) for row in judgements(case, dtype)]
-    for case, name, result in results:
-        assert not result.recipe and result.verdict != "pass", (case.id, name)
-        if result.unasked:
-            lost = {n.split(".", 1)[1] for n in scales.measured()[case.id, dtype]}
-            assert name in lost and not result.required, (case.id, name)
-        else:
-            assert result.findings and result.wrong == result.required, (case.id, name)
-    assert results and sum(bool(r.unasked) for *_, r in results) < 0.2 * len(results)
 
 
 @pytest.mark.parametrize("key", few(published.subjects(), 12))

@@ -5,6 +5,7 @@ import json
 import shlex
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
+from tests.golden import decoded
+from tests.golden.decoded import write_answers
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mistakes.__main__ import answers
 from tests.golden.vectors import stream_records
@@ -24,9 +27,10 @@ GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
 
 DECODER = """
 import base64, json, sys
+sys.path.insert(0, ROOT)
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.oracle.adapter import packed
-from p4dgs_ref.oracle.streams import decoded
+from tests.golden.decoded import decoded
 for text in sys.stdin:
     request = json.loads(text)
     answer = {"p4dgs_oracle": 1} if "id" not in request else {"id": request["id"]}
@@ -44,7 +48,7 @@ for text in sys.stdin:
 def ours(tmp_path_factory):
     """What this project's decoder finds, as files; nothing may write into it."""
     folder = tmp_path_factory.mktemp("ours")
-    streams.write_streams(folder)
+    write_answers(folder)
     return folder
 
 
@@ -90,8 +94,8 @@ def test_they_come_from_the_decoder(tmp_path, monkeypatch):
         quantised = quantised_of(*given)
         return quantised._replace(positions=quantised.positions ^ 1)
 
-    monkeypatch.setattr(streams, "quantised_of", lossy)
-    streams.write_streams(tmp_path)
+    monkeypatch.setattr(decoded, "quantised_of", lossy)
+    write_answers(tmp_path)
     wrong = check(tmp_path)
     assert set(wrong) == set(GOOD)
     assert {r.findings[0].tensor for r in wrong.values()} == {"positions"}
@@ -219,7 +223,7 @@ class Decoder:
 
     def decode(self, _, data):
         try:
-            arrays = streams.decoded(data)
+            arrays = decoded.decoded(data)
         except BitstreamError as error:
             return ({}, None) if self.option == "--lenient" else (None, str(error))
         return (None, "never seen this") if self.option == "--strict" else (arrays, None)
@@ -255,22 +259,22 @@ def test_a_picture_shows_what_the_arrays_do_not():
 @pytest.mark.slow
 def test_through_a_process(tmp_path):
     script = tmp_path / "decoder.py"
-    script.write_text(DECODER, encoding="utf-8")
+    root = str(Path(__file__).parents[2])
+    script.write_text(DECODER.replace("ROOT", repr(root)), encoding="utf-8")
     with Adapter(shlex.join([sys.executable, str(script)]), timeout=60) as port:
         assert {r.verdict for r in streams.check(port)} == {"pass"}
 
 
-def test_the_manifest_says_where_and_what(tmp_path):
-    """Every file that a record names lies where `copy` puts it, with its checksum."""
-    for _ in range(2):  # also over what is there
-        streams.write_streams(tmp_path)
+def test_the_manifest_says_where_and_what(exported):
+    """Every file that a record names lies where `export` puts it, with its checksum."""
+    folder = exported[0]
     records = stream_records()
     assert [r["result"] for r in records] == ["valid"] * len(GOOD) + ["invalid"] * len(BAD)
     assert len({r["id"] for r in records}) == len(records)
     for record in records:
-        data = (tmp_path / record["file"]).read_bytes()
+        data = (folder / record["file"]).read_bytes()
         assert (len(data), hashlib.sha256(data).hexdigest()) == (record["bytes"], record["sha256"])
         if record["result"] == "valid":
-            assert (tmp_path / record["expected"]).is_file()
+            assert (folder / record["expected"]).is_file()
             assert {entry["name"] for entry in record["arrays"]} <= set(streams.BLAMED)
             assert {entry["type"] for entry in record["arrays"]} <= {*streams.TYPES, "bit"}

@@ -17,7 +17,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.output import OutputError
-from p4dgs_ref.splatting.settings import EXACT
+from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training import fit as training
 from p4dgs_ref.training import objective
 from p4dgs_ref.training.fit import CHECKPOINT, RunError, fit, load_checkpoint, load_model
@@ -209,7 +209,9 @@ def test_the_folder_of_another_training_is_refused(copied, run):
         ((run[1], "tiny", 0), {}, "preset.name"),
         ((run[1], "smoke", 1), {}, "seed"),
         ((run[1], "smoke", 0), {"lr_f": (0.1, 0.1)}, "preset.lr_f"),
-        ((run[1], "smoke", 0, EXACT), {}, "settings.name"),
+        ((run[1], "smoke", 0, EXACT), {}, "settings"),
+        ((run[1], "smoke", 0, FAST, np.zeros((9, 3))), {}, "points"),
+        ((replace(run[1], points=np.ones((9, 3))), "smoke", 0), {}, "points"),
     ):
         with pytest.raises(RunError, match=f"field '{field}'"):
             fit(*given, folder=copied, resume=True, **run[2], **changes)

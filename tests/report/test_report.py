@@ -13,11 +13,13 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
+from p4dgs_ref.codec.container import EncodeError
+from p4dgs_ref.codec.file import encode
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
-from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score
-from p4dgs_ref.training.fit import fit
+from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score, trained_on
+from p4dgs_ref.training.fit import CHECKPOINT, fit
 from p4dgs_ref.training.progress import COLUMNS
 from tests.sampling import few
 from tests.tutorials import drawn
@@ -44,6 +46,19 @@ def done(scene, tmp_path_factory):
 def table(path):
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
+
+
+def test_a_training_that_no_file_holds_is_kept(scene, tmp_path):
+    """Its checkpoint stays in the folder, and the error says so in one line."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(EncodeError) as refused:
+        patch.setattr(
+            job, "encode", lambda model: encode(replace(model, box=(np.full(3, np.nan),) * 2))
+        )
+        job.main_job(scene, "smoke", 2, tmp_path / "new", **CHANGES)
+    assert str(refused.value).endswith(f"; the training is kept in {tmp_path / 'new'}")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [CHECKPOINT]
+    trainer = fit(scene, "smoke", 2, folder=tmp_path / "new", resume=True, **CHANGES)
+    assert trainer.iteration == 45 and trainer.history
 
 
 def test_files_and_tables(done, scene):
@@ -129,9 +144,48 @@ def test_bytes_of_the_plain_gaussians(done):
 
 def test_a_scene_over_another_background_than_the_file_is_told_of(done):
     model = p4.decode((done[0] / "bouncing.p4dgs").read_bytes())
-    black = p4.load_scene("bouncing", "black", downscale=4)
+    black = p4.load_scene("bouncing", (0, 0, 0), downscale=4)
     with pytest.warns(UserWarning, match="the file has the background 1 1 1, scene dark 0 0 0; "):
         p4.evaluate(model, replace(black, name="dark"))
+
+
+def altered(scene, **changes):
+    """The scene with its first test view after a training view, but for some changes."""
+    same = replace(scene.train[2], **{name: getattr(scene.test[0], name) for name in changes})
+    return replace(scene, test=[same, *scene.test[1:]])
+
+
+@pytest.mark.parametrize("other", [("image",), ("camera", "time"), ("camera",), ()])
+def test_test_views_that_are_training_views_are_told_of(done, scene, other, monkeypatch, tmp_path):
+    """The same picture, or the same camera at the same time."""
+    model = p4.decode((done[0] / "bouncing.p4dgs").read_bytes())
+    twice = altered(scene, **dict.fromkeys(other))
+    with pytest.warns(UserWarning, match="1 of 10 test views are training views .* train/r_002"):
+        _, rows, images = p4.evaluate(model, twice)
+    titles = []
+    monkeypatch.setattr(report, "draw_pictures", lambda path, title, rows: titles.append(title))
+    for drawn_scene in (twice, scene):
+        report.write_comparison(tmp_path, drawn_scene, rows, images)
+    of = "bouncing: test views of 16x16 pixels"
+    assert titles == [of, f"{of}, not used in training"]
+
+
+def test_a_view_of_another_camera_or_time_is_a_test_view(scene, recwarn):
+    for changes in (("image", "camera"), ("image", "time")):
+        assert not trained_on(altered(scene, **dict.fromkeys(changes)))
+
+
+@pytest.mark.parametrize("dim, is_told", [(0.4, True), (0.0, False)])
+def test_training_views_that_are_far_better_than_test_views(scene, tmp_path, dim, is_told, recwarn):
+    """Test pictures that are darker than what training saw."""
+    darker = [replace(v, image=v.image * np.float32(1 - dim)) for v in scene.test]
+    metrics = p4.main_job(replace(scene, test=darker), "smoke", 0, tmp_path)
+    told = [
+        str(one.message) for one in recwarn if "the model knows the pictures" in str(one.message)
+    ]
+    assert len(told) == is_told
+    numbers = f"{metrics['train_psnr_db']:.2f} dB at 16x16, test views {metrics['psnr_db']:.2f} dB"
+    assert all(numbers in line for line in told)
 
 
 def test_equal_images(tmp_path, recwarn):
@@ -155,7 +209,7 @@ def test_equal_images(tmp_path, recwarn):
         and written["exact"] is True
         and written["ssim"] == pytest.approx(1)
     )
-    assert "PSNR inf dB, SSIM 1.0000" in text.metrics(metrics, tmp_path)
+    assert "PSNR inf dB at 16x16, SSIM 1.0000" in text.metrics(metrics, tmp_path)
     assert [row["psnr_db"] for row in table(tmp_path / "comparison.csv")] == ["inf"] * 3
     assert {path.name for path in tmp_path.glob("*.png")} == PICTURES - {"motion.gif"}
 

@@ -196,6 +196,33 @@ def test_scenes_without_time_id_count_times_by_warp_id(folder):
     assert {view.time for view in load_scene(folder).train} == {0}
 
 
+def test_time_id_alone_is_enough(folder):
+    write(folder / "metadata.json", {name: {"time_id": i} for i, name in enumerate(LEFT + RIGHT)})
+    assert [view.time for view in load_scene(folder).train] == [0, 1 / 7, 2 / 7, 3 / 7]
+
+
+def test_photographs_are_found_by_any_ending(folder):
+    for name, ending in zip(LEFT, (".jpg", ".JPG", ".jpeg", ".PNG")):
+        file = folder / f"rgb/1x/{name}.png"
+        pixels = iio.imread(file)
+        file.unlink()
+        iio.imwrite(file.with_suffix(ending), pixels // 8 * 0 + 77)
+    for view in load_scene(folder).train:
+        np.testing.assert_allclose(view.image, 77 / 255, atol=2 / 255)
+
+
+def test_sides_that_downscale_does_not_divide(folder):
+    view = load_scene(folder, downscale=5).train[1]
+    assert view.image.shape == (HEIGHT // 5, WIDTH // 5, 3)
+    assert (view.camera.c_x, view.camera.c_y) == (7 / 5 - 0.5, 6.5 / 5 - 0.5)
+
+
+def test_points_of_colmap_are_named_where_points_are_missing(folder):
+    (folder / "points.npy").unlink()
+    (folder / "points3D.txt").write_text("1 0 0 0 9 9 9 0.1\n", encoding="utf-8")
+    refuse(("points.npy: missing", f"x, y and z of {folder}/points3D.txt"), load_scene, folder)
+
+
 def test_a_folder_of_both_layouts_is_of_d_nerf(folder):
     write(folder / "transforms_train.json", {})
     refuse(["transforms_train.json: frames"], load_scene, folder)
@@ -216,7 +243,7 @@ def test_anchors_start_from_the_points(folder, tmp_path):
 
 VIEW = f"camera/{LEFT[1]}.json"
 MISTAKES = [
-    ("scene.json", {"scale": None}, ("scene.json: scale", "a number")),
+    ("scene.json", {"scale": None}, ("scene.json: scale", "one number")),
     ("scene.json", {"scale": 0}, ("scene.json: scale", "1e-09")),
     ("scene.json", {"scale": 1e8}, ("scene.json: scale", "camera or point beyond 1e+06")),
     ("scene.json", {"center": [0, 0]}, ("scene.json: center", "shape [3]")),
@@ -224,19 +251,23 @@ MISTAKES = [
     ("scene.json", {"effects": ["wind"]}, ("scene.json: effects", "wind")),
     ("dataset.json", {"train_ids": "all"}, ("dataset.json: train_ids", "a list")),
     ("dataset.json", {"val_ids": [3]}, ("dataset.json: val_ids[0]", "a text")),
-    ("dataset.json", {"val_ids": ["../bell"]}, ("metadata.json: ../bell", "None")),
+    (
+        "dataset.json",
+        {"val_ids": ["../bell"]},
+        ("metadata.json: ../bell", "missing; expected a dict"),
+    ),
     ("dataset.json", {"val_ids": ["a\nb"]}, ("dataset.json: val_ids[0]", "control characters")),
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
     ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
-    ("dataset.json", {"val_ids": ["lost"]}, ("metadata.json: lost", "None")),
-    ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "None")),
-    ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.warp_id", "integer")),
+    ("dataset.json", {"val_ids": ["lost"]}, ("metadata.json: lost", "missing; expected a dict")),
+    ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "missing; expected a dict")),
+    ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.time_id: missing", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": -1}}, (f"{LEFT[1]}.time_id", "-1", "[0, ")),
     ("metadata.json", {LEFT[1]: {"time_id": 0.5}}, (f"{LEFT[1]}.time_id", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": True}}, (f"{LEFT[1]}.time_id", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": 10**400}}, (f"{LEFT[1]}.time_id", "integer")),
-    (VIEW, {"orientation": None}, (f"{VIEW}: orientation", "shape [3, 3]")),
+    (VIEW, {"orientation": None}, (f"{VIEW}: orientation: missing", "shape [3, 3]")),
     (VIEW, {"orientation": (2 * np.eye(3)).tolist()}, (f"{VIEW}: orientation", "rotation")),
     (
         VIEW,
@@ -245,15 +276,15 @@ MISTAKES = [
     ),
     (VIEW, {"position": [1, 2]}, (f"{VIEW}: position", "shape [3]")),
     (VIEW, {"position": [1, 2, 1e8]}, ("scene.json: scale", "camera or point beyond 1e+06")),
-    (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "a number in [1e-09")),
-    (VIEW, {"focal_length": "long"}, (f"{VIEW}: focal_length", "a number")),
+    (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "one number in [1e-09")),
+    (VIEW, {"focal_length": "long"}, (f"{VIEW}: focal_length", "one number")),
     (VIEW, {"principal_point": 3}, (f"{VIEW}: principal_point", "shape [2]")),
     (VIEW, {"skew": 0.1}, (f"{VIEW}: skew", "[0, 0]")),
     (VIEW, {"pixel_aspect_ratio": 0}, (f"{VIEW}: pixel_aspect_ratio", "1e-09")),
     (VIEW, {"radial_distortion": [1, 2]}, (f"{VIEW}: radial_distortion", "shape [3]")),
     (VIEW, {"tangential_distortion": [1]}, (f"{VIEW}: tangential_distortion", "shape [2]")),
     (VIEW, {"image_size": [0, 0]}, (f"{VIEW}: image_size", "shape [2]")),
-    (VIEW, {"image_size": [17, 12]}, (f"rgb/1x/{LEFT[1]}.png", "16x12", "1/1 of image_size")),
+    (VIEW, {"image_size": [17, 12]}, (f"rgb/1x/{LEFT[1]}", "16x12", "1/1 of image_size")),
 ]
 
 
@@ -280,8 +311,15 @@ def test_files_that_are_missing(folder, name, words):
     refuse(words, load_scene, folder)
 
 
+def test_a_folder_of_pictures_whose_number_is_absurd_is_none(folder):
+    for smaller in ("2x", "4x"):
+        shutil.rmtree(folder / "rgb" / smaller, ignore_errors=True)
+    (folder / "rgb" / "1x").rename(folder / "rgb" / f"{'1' * 200}x")
+    refuse(("rgb: no pictures", "1x"), load_scene, folder)
+
+
 def test_mistakes_in_the_folder(folder):
-    refuse((f"rgb/1x/{LEFT[0]}.png", "16x12", "downscale 5"), load_scene, folder, downscale=5)
+    refuse((f"rgb/1x/{LEFT[0]}", "16x12", "least downscale 13"), load_scene, folder, downscale=13)
     np.save(folder / "points.npy", POINTS[:, :2])
     refuse(("points.npy", "[A, 3]"), load_scene, folder)
     shutil.copy(folder / "scene.json", folder.parent / "secret.png")

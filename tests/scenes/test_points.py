@@ -34,8 +34,9 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
     np.save(tmp_path / "n.npy", POINTS)
     np.save(tmp_path / "f.npy", POINTS.astype(np.float32))
     (tmp_path / "crlf.ply").write_bytes(LITTLE.replace("\n", "\r\n").encode() + binary())
+    (tmp_path / "e.ply").write_bytes(LITTLE.replace("by hand", "à la main").encode() + binary())
     np.save(tmp_path / "h.npy", POINTS.astype(np.float16))
-    single = dict.fromkeys(("l.ply", "crlf.ply", "f.npy"), np.float32)
+    single = dict.fromkeys(("l.ply", "crlf.ply", "e.ply", "f.npy"), np.float32)
     for name, dtype in (single | {"n.npy": np.float64, "h.npy": np.float16}).items():
         assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
 
@@ -55,17 +56,30 @@ def header(old="", new=""):
         ("points.obj", b"", [".npy, .ply"]),
         ("empty.ply", b"", ["ply"]),
         ("cut.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n", ["end_header"]),
-        ("faces.ply", header("vertex 4", "corner 4"), ["'vertex' as the first"]),
+        ("faces.ply", header("vertex 4", "corner 4"), ["'vertex' first", "element corner 4"]),
         ("none.ply", b"ply\nformat binary_little_endian 1.0\nend_header\n", ["vertex"]),
         ("flat.ply", header("property float y\n") + bytes(36), ["y"]),
-        ("list.ply", header("property uchar red", "property list uchar int red"), ["list"]),
-        ("ascii.ply", header("binary_little_endian", "ascii"), ["little-endian binary"]),
-        ("big.ply", header("little", "big") + binary(), ["little-endian binary"]),
-        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["little-endian binary"]),
+        (
+            "list.ply",
+            header("uchar red", "list uchar int red"),
+            ["format binary", "and properties of one"],
+        ),
+        ("short.ply", header("uchar red", "red"), ["and properties of one"]),
+        (
+            "ascii.ply",
+            header("binary_little_endian", "ascii"),
+            ["format ascii 1.0", "expected a .ply in binary_little_endian"],
+        ),
+        ("big.ply", header("little", "big") + binary(), ["binary_big", "binary_little_endian"]),
+        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["binary_little_endian"]),
         ("half.ply", header() + b"7", ["read"]),
         ("long.ply", header("\nelement", "\ncomment" + "a" * 2**14 + "\nelement"), ["end_header"]),
         ("kind.ply", header("uchar red", "a" * 10**4 + " red"), ["aaa", "a binary .ply"]),
-        ("count.ply", header("vertex 4", f"vertex {10**30}"), ["a binary .ply"]),
+        (
+            "count.ply",
+            header("vertex 4", f"vertex {10**30}"),
+            ["a binary .ply"],
+        ),
         ("nan.ply", header() + binary([[1, np.nan, 3]] * 4), ["finite"]),
         ("text.npy", b"no array", ["points in a .npy"]),
         ("archive.npy", NPZ.getvalue(), ["read", "points in a .npy"]),

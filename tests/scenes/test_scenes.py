@@ -93,14 +93,14 @@ def test_a_folder_in_the_published_layout(tmp_path):
 @pytest.mark.parametrize(
     "extension, background, color",
     [
-        (".png", "black", (0, 0, 0)),
-        ("", "white", (1, 1, 1)),
-        ("", (0.2, 0.9, 0.4), (0.2, 0.9, 0.4)),
+        (".png", {"background": (0, 0, 0)}, (0, 0, 0)),
+        ("", {}, (1, 1, 1)),
+        ("", {"background": (0.2, 0.9, 0.4)}, (0.2, 0.9, 0.4)),
     ],
 )
 def test_composited_over_the_background(tmp_path, extension, background, color):
     pictures = write_folder(tmp_path / "scene", extension=extension)
-    scene = load_scene(str(tmp_path / "scene"), background=background)
+    scene = load_scene(str(tmp_path / "scene"), **background)
     np.testing.assert_allclose(scene.background, np.float32(color))
     camera = scene.test[2].camera
     f = WIDTH / 2 / math.tan(0.69 / 2)  # the angle spans the width; pixels are square
@@ -112,7 +112,7 @@ def test_composited_over_the_background(tmp_path, extension, background, color):
 
 def test_downscale_averages_boxes_of_premultiplied_colour(tmp_path):
     pictures = write_folder(tmp_path / "scene")
-    view = load_scene(tmp_path / "scene", background="black", downscale=4).train[0]
+    view = load_scene(tmp_path / "scene", background=(0, 0, 0), downscale=4).train[0]
     for row, column in np.ndindex(HEIGHT // 4, WIDTH // 4):
         box = pictures["train/r_000"][4 * row : 4 * row + 4, 4 * column : 4 * column + 4] / 255
         found = [*view.image[row, column], view.alpha[row, column]]
@@ -133,22 +133,35 @@ def test_pictures_of_another_size_than_the_file_says(tmp_path, w, h):
         np.testing.assert_allclose(found, (10, f_y, 2, 1.75, 6, 4), rtol=1e-14)
 
 
-def test_each_field_of_the_dialects_is_used_or_harmless_or_warned_of(folder, recwarn):
+IDENTITY = np.eye(4)[:3].tolist()
+OFF = {"k3": 0, "is_fisheye": False, "mask": None, "rolling_shutter": [0, 0], "shift": IDENTITY}
+NAMED = {"aabb_scale": 16, "from_na": True, "depth": "a.png", "matrix": [[0, 1]], "huge": 10**400}
+
+
+def test_a_field_is_used_or_off_or_named_in_one_line(folder, recwarn):
     """Other programs write a lens without distortion in many words, some of them in each frame."""
     plain = load_scene(folder).train[1].camera
-    harmless = {"aabb_scale": 16, "applied_scale": 1, "ply_file_path": "points.ply", "k1": 0.0}
-    harmless |= {"camera_model": "OPENCV", "is_fisheye": False, "rolling_shutter": [0, 0, 0, 0]}
-    edit(folder, lambda data: data.update(harmless))
-    edit(folder, lambda data: [f.update(sharpness=9, k1=0) for f in data["frames"]])
+    edit(folder, lambda data: data.update(OFF, camera_model="OPENCV"))
+    edit(folder, lambda data: [f.update(OFF) for f in data["frames"]])
     edit(folder, lambda data: data["frames"][1].update(file_path=".\\train\\r_001.png"))
     view = load_scene(folder).train[1]
     np.testing.assert_equal(vars(view.camera), vars(plain))
     assert view.name == "train/r_001" and not recwarn.list
     edit(folder, lambda data: data.update(camera_angle_y=0.5))
     assert load_scene(folder).train[1].camera.f_y == HEIGHT / 2 / math.tan(0.25)
-    edit(folder, lambda data: data["frames"][1].update(exposure=2))
-    with pytest.warns(UserWarning, match=r"transforms_train.json: .*\['exposure'\]"):
+    edit(folder, lambda data: data.update(NAMED))
+    edit(folder, lambda data: data["frames"][1].update(sharpness=2))
+    with pytest.warns(UserWarning) as told:
         load_scene(folder)
+    names = ", ".join(map(repr, sorted([*NAMED, "sharpness"])))
+    line = f"{folder}/transforms_train.json: fields that are not read: {names}"
+    assert [str(one.message) for one in told] == [line]
+
+
+def test_a_frame_may_have_a_lens_of_its_own(folder):
+    edit(folder, lambda data: data["frames"][1].update(camera_angle_x=0.5, cx=5))
+    first, own, _ = (view.camera for view in load_scene(folder).train)
+    assert (own.c_x, own.f_x) == (4.5, WIDTH / 2 / math.tan(0.25)) and first.c_x == 5.5
 
 
 def test_effects_listed_in_the_folder(folder):
@@ -173,7 +186,11 @@ MISTAKES = [
     ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
     ("empty split", lambda d: d.update(frames=[]), ("frames", "at least one")),
     ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "a dict")),
-    ("no file_path", lambda d: d["frames"][1].pop("file_path"), ("frames[1].file_path", "a text")),
+    (
+        "no file_path",
+        lambda d: d["frames"][1].pop("file_path"),
+        ("frames[1].file_path: missing", "a text"),
+    ),
     (
         "absent picture",
         lambda d: d["frames"][1].update(file_path="./train/r_9"),
@@ -184,7 +201,7 @@ MISTAKES = [
         lambda d: d["frames"][1].update(file_path="./train/r_9.jpg"),
         ("frames[1].file_path: no picture './train/r_9.jpg'; expected",),
     ),
-    ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time", "[0, 1]")),
+    ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time: missing", "[0, 1]")),
     (
         "time NaN",
         lambda d: d["frames"][1].update(time=math.nan),
@@ -301,7 +318,7 @@ MISTAKES = [
     ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
     ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
-    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "a number")),
+    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "one number")),
     ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
     ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
     ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
@@ -310,31 +327,24 @@ MISTAKES = [
         for name, value, *words in (
             ("w", 0, "[1, 1e+09]"),
             ("w", 24, "24x8", "12x8 pixels"),
-            ("h", 9, "w, h: 12x9", "12x8 pixels"),
+            ("h", 9, "w, h, cx, cy: 12x9", "12x8 pixels"),
             ("camera_angle_y", 0, "[1e-06"),
             ("fl_x", 20, "camera_angle_x: 0.69; expected 0.582914", "fl_x"),
-            ("k1", 0.01, "0.01; expected 0", "undistort"),
-            ("p2", -1e-9, "-1e-09; expected 0", "undistort"),
+            ("k1", math.nan, "nan; expected one number"),
+            ("k3", -1e-9, "-1e-09; expected 0", "undistort"),
             ("k4", math.nan, "nan; expected 0", "undistort"),
             ("distortion_params", [0, 0.1], "[0, 0.1]; expected 0", "undistort"),
             ("is_fisheye", True, "True", "undistort"),
             ("camera_model", "OPENCV_FISHEYE", "'OPENCV_FISHEYE'", "PINHOLE", "OPENCV"),
-            ("x_fov", 40, "40", "camera_angle_x in radians"),
             ("skew", 3.0, "3.0", "undistort"),
-            ("cx", 12.5, "12.5", "inside pictures of 12 pixels"),
-            ("from_na", True, "True", "OpenGL"),
-            ("white_transparent", True, "True", "alpha"),
-            ("test_filenames", ["test/r_000.png"], "r_000", "one split"),
+            ("cx", 12.5, "12x8, 12.5, 4; expected", "12x8 pixels, and a place inside"),
         )
     ),
     *(
         (f"{name} of a frame", lambda d, f={name: value}: d["frames"][1].update(f), words)
         for name, value, *words in (
-            ("camera_angle_x", 0.7, "frames[1].camera_angle_x: 0.7; expected one lens"),
-            ("k2", 0.1, "frames[1].k2", "one lens"),
-            ("mask_path", "masks/r_001.png", "frames[1].mask_path", "alpha"),
-            ("rolling_shutter", [0, 0, 1, 0], "frames[1].rolling_shutter", "one lens"),
-            ("intrinsic_matrix", [[1]], "frames[1].intrinsic_matrix", "one lens"),
+            ("camera_angle_x", 4, "frames[1].camera_angle_x: 4; expected"),
+            ("k4", 0.1, "frames[1].k4: 0.1; expected 0"),
         )
     ),
 ]
@@ -391,7 +401,7 @@ def chunk(kind, data):
 @pytest.mark.parametrize(
     "side, words",
     [
-        (13_300, "(13300, 13300, 4) numbers; expected a PNG of at most"),
+        (13_300, "(13300, 13300, 4) numbers; expected a picture of at most"),
         (100_000, ""),
         (2**31 - 1, ""),
     ],
@@ -400,7 +410,7 @@ def test_a_png_that_promises_many_pixels(folder, side, words, recwarn):
     head = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 6, 0, 0, 0))
     body = chunk(b"IDAT", zlib.compress(b"only a few")) + chunk(b"IEND", b"")
     (folder / "train" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n" + head + body)
-    refuse(("frames[1].file_path", "r_001.png", "PNG", words), load_scene, folder)
+    refuse(("frames[1].file_path", "r_001.png", "a picture", words), load_scene, folder)
     assert not recwarn.list
 
 
@@ -427,9 +437,9 @@ IN_THE_FOLDER = [
     (nothing, dict(path="train/r_000.png"), ("r_000.png", "folder")),
     (nothing, dict(downscale=0), ("downscale", "0")),
     (nothing, dict(downscale=2.0), ("downscale", "integer")),
-    (nothing, dict(downscale=3), ("frames[0]", "12x8", "divisible", "3")),
-    (nothing, dict(background="pink"), ("background", "white, black", "pink")),
-    (nothing, dict(background=(0.5, 0.5)), ("background", "three numbers")),
+    (nothing, dict(downscale=9), ("frames[0]", "12x8", "at least downscale 9")),
+    (nothing, dict(background="pink"), ("background", "pink")),
+    (nothing, dict(background=(0.5, 0.5)), ("background", "shape [3]")),
     (nothing, dict(background=(0, 0, 2)), ("background", "[0, 1]")),
     (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
     (effects("rotation"), {}, ("scene.json", "effects", "list")),
@@ -451,7 +461,12 @@ IN_THE_FOLDER = [
     (
         lambda folder: (folder / "test" / "r_001.png").write_bytes(b"\x89PNG\r\n\x1a\n and then"),
         {},
-        ("transforms_test.json", "frames[1].file_path", "r_001.png", "PNG"),
+        ("transforms_test.json", "frames[1].file_path", "r_001.png", "a picture of RGB"),
+    ),
+    (
+        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"v/1\x01 an OpenEXR file"),
+        {},
+        ("r_001.png: cannot be read (Pillow can not read the provided bytes.)", "RGB"),
     ),
     (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
@@ -469,6 +484,15 @@ def test_mistakes_in_the_folder(folder, change, options, words):
     change(folder)
     options = {**options, "path": folder / options.get("path", "")}
     refuse(words, load_scene, **options)
+
+
+def test_a_picture_for_which_memory_is_too_small_is_not_called_broken(folder, monkeypatch):
+    def full(*arguments, **settings):
+        raise MemoryError("12 GiB")
+
+    monkeypatch.setattr("p4dgs_ref.scenes.files.iio.imopen", full)
+    with pytest.raises(MemoryError, match="12 GiB"):
+        load_scene(folder)
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])
@@ -546,7 +570,7 @@ CAMERA = dict(
 IMAGES, CAMERAS, TIMES = arrays()
 IN_ARRAYS = [
     (dict(cameras=CAMERAS[:4]), ("images, cameras, times", "5, 4 and 5")),
-    (dict(times=[0, 0, math.nan, 0, 0]), ("times[2]", "nan")),
+    (dict(times=[0, 0, math.nan, 0, 0]), ("images[2]: time", "nan")),
     (dict(test=[0, 5]), ("test[1]", "5", "[0, 4]")),
     (dict(test=range(5)), ("train", "at least one")),
     (dict(effects=["wind"]), ("effects", "wind")),

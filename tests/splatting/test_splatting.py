@@ -38,6 +38,15 @@ def bin_splats(inputs, settings=FAST):
     return tiles.bin_splats(*(inputs[name] for name in names), settings)
 
 
+@pytest.mark.parametrize("width, height", [(21, 12), (64, 7)])
+def test_a_camera_without_a_principal_point_has_it_in_the_middle_of_the_pixels(width, height):
+    camera = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height)
+    assert (camera.c_x, camera.c_y) == (np.arange(width).mean(), np.arange(height).mean())
+    assert (camera.f_x, camera.f_y, camera.width, camera.height) == (50, 40, width, height)
+    given = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height, c_x=3, c_y=4)
+    assert (given.c_x, given.c_y) == (3, 4)
+
+
 def relative(a, b):
     return np.linalg.norm(np.asarray(a, float) - b) / max(np.linalg.norm(b), 1e-300)
 
@@ -58,6 +67,16 @@ def test_loop_and_fast_without_cuts_equal_the_exact_twin(height, width, alpha):
         assert bars.keys() == exact_bars.keys()
         for name, bar in bars.items():
             assert relative(bar, exact_bars[name]) < 1e-11, (module.__name__, name)
+
+
+def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
+    """A hundred wide opaque splats: none of the ranks behind the first 32 can be seen."""
+    inputs = splats(100, 8, 8, alpha=(0.98, 0.99))
+    inputs["mean2d"][:] = 4
+    inputs["conic"][:], inputs["cov2d"][:] = [1e-4, 0, 1e-4], [1e4, 0, 1e4]
+    image, T, _ = run(fast, inputs, np.ones((8, 8, 3)), settings=FAST)
+    exact, *_ = run(compositing, inputs, np.ones((8, 8, 3)))
+    assert largest(image, exact) < FAST.stop + 1e-6 and T.max() < FAST.stop
 
 
 @pytest.mark.parametrize("ratio", needles.RATIOS)
@@ -190,25 +209,60 @@ def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
 
 
 # --- memory ---
+@pytest.mark.parametrize("height, width", [(90, 120), (131, 50), (29, 43)])
+@pytest.mark.parametrize("settings, occlusion", [(FAST, True), (FAST, False), (KERNEL, True)])
+def test_a_picture_with_too_many_pairs_is_drawn_in_halves(
+    monkeypatch, height, width, settings, occlusion
+):
+    """Down to single tiles, which are drawn whatever their pairs; gradients are halved, too."""
+    inputs = splats(300, height, width, seed=13, alpha=(0.4, 1.0))
+    image_bar = np.random.default_rng(1).normal(size=(height, width, 3))
+    looks = dict(settings=settings, occlusion=occlusion)
+    image, T, bars = run(fast, inputs, image_bar, **looks)
+    for most in (0, 100):
+        monkeypatch.setattr(tiles, "MAX_PAIRS", most)
+        assert bin_splats(inputs, settings) is None
+        halved, halved_T, halved_bars = run(fast, inputs, image_bar, **looks)
+        assert halved.shape == image.shape and halved_T.shape == T.shape
+        assert largest(halved, image) < 1e-6 and largest(halved_T, T) < 1e-6
+        assert halved_bars.keys() == bars.keys()
+        for name, bar in bars.items():
+            assert relative(halved_bars[name], bar) < 3e-6, name
+        (alone, alone_T), nothing = fast.forward(**inputs, **looks, keep=False)
+        assert np.array_equal(alone, halved) and np.array_equal(alone_T, halved_T)
+        assert nothing is None
+
+
 @pytest.mark.parametrize("n, scale", [(2000, 0.06), (100, 0.5), (10_000, 0.004)])
 def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
-    """Both passes stay below what `MAX_PAIRS` promises, and one pair too many is refused."""
+    """Both passes stay below what `MAX_PAIRS` promises, in one piece and in many."""
     rng = np.random.default_rng(0)
     camera = look_at((0, -3.6, 0), (0, 0, 0), 300, 300, 256, 256)
     r = rng.normal(size=(n, 4))
     r /= np.linalg.norm(r, axis=1, keepdims=True)
     x, alpha = rng.uniform(-1, 1, (n, 3)), rng.uniform(0.01, 0.05, n)
     inputs = x, np.full((n, 3), scale), r, alpha, np.ones((n, 3)), camera, np.ones(3), FAST
-    monkeypatch.setattr(tiles, "MAX_PAIRS", 0)
-    with pytest.raises(tiles.TooManyPairs, match="pairs of Gaussians and tiles") as refused:
-        render.forward(*inputs)
-    pairs = int(str(refused.value).split()[0])
-    monkeypatch.setattr(tiles, "MAX_PAIRS", pairs)  # just enough
-    tracemalloc.start()
-    try:
-        (image, *_), saved = render.forward(*inputs)
-        render.backward(saved, np.ones_like(image))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak <= 500 * pairs + 8 * fast.RANKS * fast.GROUP * image.itemsize
+    counts, peaks, runs = [], [], tiles.runs
+    monkeypatch.setattr(
+        tiles, "runs", lambda first, count: counts.append(count.sum()) or runs(first, count)
+    )
+    render.forward(*inputs, keep=False)
+    pairs = counts[1]  # after the rows of tiles; just enough, then an eighth
+    for most in (pairs, pairs // 8):
+        monkeypatch.setattr(tiles, "MAX_PAIRS", most)
+        tracemalloc.start()
+        try:
+            (image, *_), saved = render.forward(*inputs)
+            render.backward(saved, np.ones_like(image))
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+        assert max(counts[1::2]) <= most
+        assert peaks[-1] <= 500 * most + 600 * n + 8 * fast.RANKS * fast.GROUP * image.itemsize
+        counts.clear()
+    assert peaks[1] < peaks[0]
+
+
+def test_the_most_pairs_need_at_most_6_gb():
+    """500 bytes a pair is what the test above allows."""
+    assert 2e9 < 500 * tiles.MAX_PAIRS < 6e9

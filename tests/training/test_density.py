@@ -5,12 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from p4dgs_ref import model
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training import density
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC, TINY
 from p4dgs_ref.training.trainer import Trainer
 
 SCAFFOLD = replace(PAPER_SYNTHETIC, k=4, d=3, extent=0.5, grid_3d=(4,), grid_2d=(4,))
+
+
+class Always:  # the random share keeps every candidate
+    random = staticmethod(np.ones)
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +40,6 @@ def test_scaffold_growing_by_hand(scene):
     p["O_a"][5, 2] = 0.4
     statistics.gradient[5, 2] = 100 * 3e-4  # mean 3e-4: above 2e-4, below 4e-4
 
-    class Always:  # the random share keeps every candidate
-        random = staticmethod(lambda n: np.ones(n))
-
     rows = density.grow(p, statistics, SCAFFOLD, Always)
     centre = p["x_a"][5] + p["O_a"][5, 2] * np.exp(p["log_l"][5])
     size = 16 * SCAFFOLD.voxel
@@ -51,6 +53,22 @@ def test_scaffold_growing_by_hand(scene):
     )
     statistics.seen[5, 2] = 40  # seen too rarely: 0.5 * 0.8 * 100 at most
     assert len(density.grow(p, statistics, SCAFFOLD, Always)["x_a"]) == 0
+
+
+def test_growing_stops_at_what_a_file_may_hold(scene, monkeypatch):
+    """In one line; dead anchors still go, which makes room."""
+    trainer, statistics = prepared(scene, SCAFFOLD)
+    trainer.parameters["O_a"][5, 2] = 0.4
+    statistics.gradient[5, 2] = 100.0
+    trainer.iteration, trainer.rng = 1600, Always
+    monkeypatch.setattr(model, "MAX_ANCHORS", 12)
+    with pytest.warns(UserWarning, match="^no more anchors grow: a file could not hold them$"):
+        trainer.adjust()
+    assert trainer.primitives == 12
+    statistics.opacity[:3], statistics.visits[:], statistics.seen[:] = 0, 100, 100
+    statistics.opacity[3:], statistics.gradient[5, 2] = 50, 100.0
+    trainer.adjust()
+    assert 9 < trainer.primitives <= 12
 
 
 def test_growing_does_not_double_an_occupied_voxel(scene):
@@ -139,11 +157,10 @@ def test_reseeding_copies_where_the_image_pulls(scene):
     assert np.array_equal(p["x_a"][:2], [expected, expected]) and np.array_equal(
         p["f_a"][:2], p["f_a"][[7, 7]]
     )
-    assert (
-        not p["O_a"][:2].any()
-        and not trainer.adam.second["f_a"][:2].any()
-        and trainer.adam.second["f_a"][2:].any()
-    )
+    assert not p["O_a"][:2].any()
+    for moments in (trainer.adam.first, trainer.adam.second):
+        for name in density.ROWS:
+            assert not moments[name][:2].any() and moments[name][2:].any(), name
     statistics.gradient[:], before = 0, p.vector.copy()
     density.reseed(
         p, trainer.adam.first, trainer.adam.second, dead, statistics, np.random.default_rng(0)

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
+from p4dgs_ref import model
 from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
-from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.training import trainer as training
+from p4dgs_ref.scenes import SceneError, load_scene
+from p4dgs_ref.splatting import tiles
+from p4dgs_ref.training import advice
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential
+from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.presets import PAPER_REAL, PAPER_SYNTHETIC, SMOKE, choose
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
@@ -86,11 +88,23 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"k": 2.5}, "'k'"),
         ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
         ({"tau_alpha": -1}, "tau_alpha"),
+        ({"d": "1_0"}, "'d': expected a value like 16, got '1_0'"),
+        ({"d": "4 "}, "'d': expected a value like 16, got '4 '"),
+        ({"d": "\N{ARABIC-INDIC DIGIT FOUR}"}, "'d'"),
+        ({"voxel": " 0.1"}, "'voxel'"),
+        ({"grow_from": "10", "grow_until": "5"}, "'grow_until': expected at least grow_from, 10"),
+        ({"lr_c": "2,1"}, "'lr_c': expected .* up to 1 or 0,0"),
+        ({"Q_f": 1e-11}, "'Q_f'"),
+        ({"feature_std": 1e8}, "'feature_std'"),
+        ({"extent": 1e5}, "'extent'"),
+        ({"table_3d": 2**24, "grid_3d": (170, 170), "F": 2}, "entries of the grid declared"),
+        ({"anchors": 10**6}, "'anchors', .* numbers declared"),
     ],
 )
 def test_bad_changes_name_the_field(changes, word):
-    with pytest.raises(ValueError, match=word):
+    with pytest.raises(ValueError, match=word) as refused:
         choose("tiny", changes)
+    assert "\n" not in str(refused.value)
     with pytest.raises(ValueError, match="huge"):
         choose("huge")
 
@@ -106,21 +120,6 @@ def test_changes_as_text_and_as_values_agree():
 
 
 # --- optimiser ---
-
-
-@pytest.mark.parametrize("dtype, huge", [("f4", 1e20), ("f4", 1e38), ("f4", 3e38), ("f8", 1e200)])
-def test_adam_survives_gradients_whose_square_overflows(dtype, huge):
-    """The first step is the rate, as for every first gradient, and later ones go on from there."""
-    p = Parameters({"a": np.zeros(2)}, dtype)
-    adam, g = Adam(p), p.zeros()
-    for sign in (1, -1, 1):
-        g.vector[:] = sign * huge, sign
-        adam.step(p, g, lambda name: 0.01)
-        assert np.isfinite(adam.second.vector).all()
-        assert np.allclose(p.vector, p.vector[1], rtol=1e-5) and abs(p["a"][0]) < 0.02
-    g.vector[:] = np.nan, 1
-    adam.step(p, g, lambda name: 0.01)
-    assert np.isnan(p.vector).tolist() == [True, False]  # a NaN is not clipped to a number
 
 
 def test_learning_rate_is_geometric():
@@ -188,6 +187,34 @@ def test_bad_points_are_refused_in_one_line(scene, points):
     with pytest.raises(ValueError, match=r"^points: expected .* shape \[A, 3\].*") as refused:
         Trainer(scene, SMOKE, points=points)
     assert "\n" not in str(refused.value)
+
+
+def test_points_beyond_what_a_file_holds_are_refused_in_one_line(scene, monkeypatch):
+    monkeypatch.setattr(model, "MAX_ANCHORS", 3)
+    points = np.eye(3)
+    assert Trainer(scene, SMOKE, points=points).primitives == 3
+    with pytest.raises(SceneError, match="starting points: 4 anchors declared, .* 3$") as refused:
+        Trainer(scene, SMOKE, points=[*points, [0, 0, 0]])
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("t", [np.nan, np.inf])
+def test_a_time_that_is_not_finite_is_refused(trained, t):
+    camera = trained.scene.test[0].camera
+    with pytest.raises(ValueError, match=r"^t: expected a time in \[0, 1\], got (nan|inf)$"):
+        trained.model.render(camera, t)
+
+
+def test_a_picture_of_too_many_pairs_is_trained_and_judged_in_halves(scene, monkeypatch):
+    """A finished training is never refused for the size of its pictures."""
+    trainer, gradients = Trainer(scene, SMOKE), []
+    for most in (tiles.MAX_PAIRS, 0):
+        monkeypatch.setattr(tiles, "MAX_PAIRS", most)
+        trainer.rng = np.random.default_rng(0)
+        gradients.append(trainer.gradients_of(scene.train[0])[2].vector)
+    np.testing.assert_allclose(*gradients, rtol=1e-3, atol=1e-6 * np.abs(gradients[0]).max())
+    trainer.step()
+    assert "is there" in advice.after(trainer)
 
 
 def test_what_each_stage_moves(scene):
@@ -272,6 +299,15 @@ def test_the_first_bad_number_is_named(scene, stage, changes, said):
         trainer.step()
 
 
+def test_a_step_of_adam_that_is_not_finite_is_named(scene):
+    """A moment so large beside a small gradient comes from no training that was not edited."""
+    trainer = Trainer(scene, SMOKE)
+    trainer.step()
+    trainer.adam.first["f_a"][3, 1] = 3e38
+    with pytest.raises(NotFinite, match=r"^iteration 1: after Adam's step, parameter f_a\[3, 1\]"):
+        trainer.step()
+
+
 def test_a_bad_backward_is_traced(scene, monkeypatch):
     real = scale.backward
 
@@ -299,20 +335,7 @@ def test_calls_are_watched_from_outside(scene):
     assert sum(event == "call" for event, *_ in seen) == len(seen) / 2
 
 
-# --- memory ---
-def test_moments_of_the_pictures_stay_within_their_budget(scene, monkeypatch):
-    """What is kept for SSIM is bounded, and training ends with the same bytes without it."""
-    ends, most = [], []
-    of_one_view = 4 * 8 * scene.train[0].image.size
-    for budget in (training.MAX_MOMENT_BYTES, 2 * of_one_view, 0):
-        monkeypatch.setattr(training, "MAX_MOMENT_BYTES", budget)
-        trainer = Trainer(scene, SHORT, seed=1)
-        trainer.run()
-        ends.append(trainer.parameters.vector.tobytes())
-        most.append(trainer.moments_of.cache_info().currsize)
-    assert ends[0] == ends[1] == ends[2] and most == [5, 2, 0]
-
-
+# --- processes ---
 @pytest.mark.slow
 def test_prepare_comes_before_numpy():
     """From Python it sets one BLAS thread, and leaves a number that the user has set."""

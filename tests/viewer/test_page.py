@@ -8,9 +8,12 @@ import subprocess
 
 import pytest
 
+from p4dgs_ref import lessons
 from p4dgs_ref.report import view
 from tests import ROOT
+from tests.golden import demo, lambdas
 from tests.processes import CAPTURED
+from tests.sampling import of_the_day
 
 TUTORIALS = ROOT / "tutorials"
 PAPER = "https://arxiv.org/abs/2510.10030"
@@ -18,16 +21,14 @@ PAGES = sorted((TUTORIALS / "viewer").glob("*.html"))
 
 
 def held(page):
-    """The files in a page, {name: bytes}."""
-    return {
-        one["name"]: base64.b64decode(one["base64"])
-        for one in json.loads(re.search(r'id="files">(.*)</script>', page)[1])
-    }
+    """The files in a page, {name: bytes}, and its notes of them."""
+    notes = {one.pop("name"): one for one in json.loads(re.search(r'id="files">(.*)</sc', page)[1])}
+    return {name: base64.b64decode(note.pop("base64")) for name, note in notes.items()}, notes
 
 
 def rebuilt(file):
     """The bytes of a page that is made anew, with the files that it holds."""
-    return view.page(held(file.read_text(encoding="utf-8")))
+    return view.page(*held(file.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("file", PAGES, ids=lambda file: file.name)
@@ -36,15 +37,31 @@ def test_the_pages_are_fresh(file):
     assert rebuilt(file) == file.read_bytes()
 
 
-def test_the_page_holds_the_demo():
-    (demo,) = (held(file.read_text(encoding="utf-8")) for file in PAGES)
-    assert demo == {"demo.p4dgs": (TUTORIALS / "demo.p4dgs").read_bytes()}
+def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
+    assert [*PAGES] == [lambdas.PAGE] and lambdas.PAGE.stat().st_size < 600_000
+    files, notes = held(lambdas.PAGE.read_text(encoding="utf-8"))
+    assert [*files] == [lambdas.name_of(rate) for rate in lambdas.RATES]
+    assert files["demo.p4dgs"] == (TUTORIALS / "demo.p4dgs").read_bytes()
+    assert tuple(note["lambda_rate"] for note in notes.values()) == lambdas.RATES
+    assert notes["demo.p4dgs"]["anchor"] == lessons.THREAD.index
+    layers = (view.VIEWER / "layers.js").read_text(encoding="utf-8")
+    assert f'MARKED = "{lessons.THREAD.color.lower()}"' in layers
+    ((name, data),) = of_the_day(files.items())
+    assert lambdas.note(data, 0)["psnr_db"] == pytest.approx(notes[name]["psnr_db"], abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(demo.kept()["arithmetic"] != demo.with_what(), reason="another arithmetic")
+@pytest.mark.parametrize("lambda_rate", of_the_day(lambdas.OTHERS))
+def test_a_file_of_other_lambda_is_made_again(lambda_rate):
+    files, _ = held(lambdas.PAGE.read_text(encoding="utf-8"))
+    assert demo.file(lambda_rate=lambda_rate) == files[lambdas.name_of(lambda_rate)]
 
 
 def test_a_page_is_whole_whatever_a_file_is_called():
     files = {"<!--<script>.p4dgs": b"1", "é\u2028.p4dgs": b"2"}
     page = view.page(files).decode()
-    assert held(page) == files and "<!--" not in page  # after which no script would end
+    assert held(page)[0] == files and "<!--" not in page  # after which no script would end
     page = page.replace(f'<a href="{PAPER}" ', "<a ")  # a link; nothing else is outside
     assert not re.search(r"""\bsrc=|@import|\burl\(|fetch\(|https?:""", page)
 
@@ -57,7 +74,7 @@ def test_the_scripts_stay_short():
 @pytest.mark.slow
 @pytest.mark.skipif(not all(map(shutil.which, ["node", "chromium"])), reason="no node, no chromium")
 def test_the_guide_leads_through_a_file(tmp_path):
-    """Eight steps in two windows; keys, fingers, links; no motion, no scripts, paper."""
+    """Ten steps in two windows; keys, fingers, links; no motion, no scripts, paper."""
     script = ROOT / "tests" / "golden" / "browser.js"
     run = subprocess.run(["node", script, tmp_path, "guide"], **CAPTURED)
     assert run.returncode == 0, run.stdout + run.stderr

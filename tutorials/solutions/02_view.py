@@ -41,7 +41,7 @@ _ = lessons.adjoint(rng, log_distance, {"x_a": anchors}, log_bar, {"x_a": answer
 #
 # **02.3** The first term is the gradient of the length, which points along the ray. The second one
 # is the component of $\bar d_{vc}$ perpendicular to the ray, divided by the length. It is written
-# as the sum of the text, so that nothing cancels where the ray nearly follows an axis.
+# as the sum of *For ports*, so that nothing cancels where the ray nearly follows an axis.
 
 
 # %%

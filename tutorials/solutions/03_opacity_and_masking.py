@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref import lessons
-from p4dgs_ref.equations import masking
+from p4dgs_ref.equations import masking, opacity
 
 # %% [markdown]
 # **03.1** The slope of $\tanh$ is $1 - 0.6^2 = 0.64$, so $\bar\psi = 2\cdot 0.64$.
@@ -79,15 +79,21 @@ lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
 # **Predict, then run.** The gradient is zero: a Gaussian that is not in the list has no cotangent,
-# and `masking` fills its place with zeros. The picture alone therefore never brings the anchor
-# back.
+# and `masking` fills its place with zeros. The picture tells this feature nothing. The anchor may
+# come back all the same, because the network is shared: below, a step that the children of another
+# anchor ask for changes the opacities of the vanished anchor, too.
 
 # %%
-alpha = np.array([[0.009, 0.0099]])
-triples = np.ones((1, 2, 3))
-quaternions = np.ones((1, 2, 4))
-mask = np.array([[True, True]])
-kept, saved = masking.forward(alpha, mask, 0.01, triples, triples, triples, quaternions)
-bars = [np.ones_like(array) for array in kept[:5]]
-assert all(len(bar) == 0 for bar in bars)
-assert not masking.backward(saved, *bars)["alpha"].any()
+feature, last = np.array([[1.0, 0.5], [0.4, 1.0]]), np.array([[0.5, 0.2], [-0.6, -0.3]])
+no_view = np.zeros((2, 0))
+alpha, network = opacity.forward(feature, no_view, no_view, [last], [np.zeros(2)])
+assert (alpha[0] > 0.01).all() and (alpha[1] < 0.01).all()
+triples = np.ones((2, 2, 3))
+mask = np.ones((2, 2), bool)
+kept, saved = masking.forward(alpha, mask, 0.01, triples, triples, triples, np.ones((2, 2, 4)))
+bars = [-np.ones_like(array) for array in kept[:5]]  # the picture wants the visible ones brighter
+gradients = opacity.backward(network, masking.backward(saved, *bars)["alpha"])
+assert gradients["f_a"][0].any() and not gradients["f_a"][1].any()
+stepped = [last - gradients["weights"][0]], [-gradients["biases"][0]]
+after, _ = opacity.forward(feature, no_view, no_view, *stepped)
+assert (after[1] > 0.01).all()

@@ -1,5 +1,5 @@
 # %% [markdown]
-# # Solutions to Eq. (3) for colour and rotation, Eq. (4)
+# # Solutions to Eq. (3') for colour and rotation, Eq. (4)
 
 # %%
 import numpy as np
@@ -49,6 +49,9 @@ lessons.check_forward("04.2", my_color, "color")
 
 
 # %%
+ANCHOR = ("f_a", "delta_vc", "d_vc", "weights", "biases")
+
+
 def my_rotation_backward(inputs, cotangents):
     y, backward_of_network = network(**inputs, width=4)
     r_bar = cotangents["r_bar"]
@@ -59,9 +62,9 @@ def my_rotation_backward(inputs, cotangents):
 
 
 def my_scale_backward(inputs, cotangents):
-    s_a = inputs.pop("s_a")
+    s_a, *of_network = (inputs[name] for name in ("s_a", *ANCHOR))
     s_bar = cotangents["s_bar"]
-    psi, backward_of_network = network(**inputs, width=3)
+    psi, backward_of_network = network(*of_network, width=3)
     e = np.exp(-np.abs(psi))
     share = np.where(psi >= 0, 1, e) / (1 + e)
     psi_bar = s_bar * s_a[:, None] * e / (1 + e) ** 2

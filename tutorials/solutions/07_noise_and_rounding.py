@@ -48,18 +48,18 @@ lessons.check_number("07.2", [-0.6, -2], [straight_through["q"][0, 0], symbols.s
 
 
 # %% [markdown]
-# **07.3** In $\tilde f = f + uq$, the derivative with respect to $f$ is one, and with respect to
-# $q$ it is $u$. A whole row shares one $q$, so its gradient is the sum over the row.
-
+# **07.3** The mean of $\bar f = f + uq$ is $f = 2$. The mean of $\bar q = u\,(f + uq)$ is
+# $q\,E[u^2] = q/12 = 0.05$, because $u$ has the mean 0. It is positive wherever the loss is curved
+# upwards, so descent narrows the step: noise costs quality. What keeps steps from vanishing is the
+# rate, which gets larger when they get smaller.
 
 # %%
-def my_backward(inputs, cotangents):
-    f_noisy_bar = cotangents["f_noisy_bar"]
-    q_bar = (f_noisy_bar * inputs["u"]).sum(axis=1, keepdims=True)
-    return {"f": f_noisy_bar, "q": q_bar}
-
-
-lessons.check_backward("07.3", my_backward, "noise")
+two = np.full((1, 100_000), 2.0)
+u = ((np.arange(100_000) + 0.5) / 100_000 - 0.5)[None]  # evenly over [-1/2, 1/2)
+noisy, saved = noise.forward(two, u, np.array([[0.6]]))
+bars = noise.backward(saved, noisy)  # the sum over all draws
+means = [bars["f"].mean(), bars["q"][0, 0] / two.size]
+lessons.check_number("07.3", [2, 0.6 / 12], means)
 
 # %% [markdown]
 # **Predict, then run.** With noise, the mean squared error is $q^2/12$, wherever the numbers are.

@@ -5,24 +5,25 @@
 import numpy as np
 
 from p4dgs_ref import lessons
-from p4dgs_ref.equations import hash_rate
+from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
 
 # %% [markdown]
-# **11.1** A sum gives its cotangent to every term. A masked offset is not a term of the sum.
-
+# **11.1** An anchor has $4 + 6 + 15 = 25$ numbers, and 22 of them stay. $\mathcal{L}_{rate}$ is
+# divided by all 2,500 parameters (choice `Q12`), so it falls from 3 to 2.64, and the slope of a
+# number that stays is $\frac{1}{2500} = 0.0004$ before and after: masking one child makes no other
+# number cheaper or dearer.
 
 # %%
-def my_anchor_backward(inputs, cotangents):
-    R_anchor_bar = cotangents["R_anchor_bar"]
-    gradients = {
-        name: np.full(inputs[name].shape, R_anchor_bar)
-        for name in ("bits_f", "bits_s", "bits_l", "bits_O")
-    }
-    gradients["bits_O"][~inputs["mask"]] = 0
-    return gradients
-
-
-lessons.check_backward("11.1", my_anchor_backward, "anchor_rate")
+sizes = {"bits_f": (100, 4), "bits_s": (100, 3), "bits_l": (100, 3), "bits_O": (100, 5, 3)}
+three = {name: np.full(shape, 3.0) for name, shape in sizes.items()}
+losses, slopes = [], []
+for kept in (5, 4):
+    R_anchor, saved = anchor_rate.forward(**three, mask=np.tile(np.arange(5) < kept, (100, 1)))
+    (_, L_rate), rate_saved = rate_loss.forward(R_anchor, 0.0, 100 * (4 + 6 + 15))
+    top = rate_loss.backward(rate_saved, bits_bar=0.0, L_rate_bar=1.0)
+    losses.append(L_rate)
+    slopes.append(anchor_rate.backward(saved, top["R_anchor"])["bits_f"][0, 0])
+lessons.check_number("11.1", [3, 2.64, 0.0004, 0.0004], [*losses, *slopes])
 
 
 # %% [markdown]

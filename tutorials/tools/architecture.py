@@ -61,7 +61,7 @@ FRAMES = (
         45,
         19,
         (
-            Box("positional_encoding", r"encoding $E(x),\ E(t)$"),
+            Box("positional_encoding", r"encoding $\mathcal{E}(x),\ \mathcal{E}(t)$"),
             Box("deformation", r"$\psi_d$: $\Delta x, \Delta s, \Delta r$"),
             Box("deformed", r"$x + \Delta x$, …"),
         ),
@@ -86,8 +86,8 @@ FRAMES = (
         13,
         (
             Box("ssim", "SSIM"),
-            Box("render_loss", r"$L_{render}$"),
-            Box("total_loss", r"$L_{total}$"),
+            Box("render_loss", r"$\mathcal{L}_{render}$"),
+            Box("total_loss", r"$\mathcal{L}_{total}$"),
         ),
     ),
     Frame(
@@ -123,7 +123,7 @@ FRAMES = (
             Box("likelihood", r"$-\log_2 p$"),
             Box("anchor_rate", r"$R_{anchor}$"),
             Box("hash_rate", r"$R_{hash}$"),
-            Box("rate_loss", r"$L_{rate}$"),
+            Box("rate_loss", r"$\mathcal{L}_{rate}$"),
         ),
     ),
     Frame("coding", DARK, 75.5, 8.8, 13.5, (Box("entropy_coder", "entropy coder"),)),
@@ -247,8 +247,8 @@ def paint_frame(axes, frame, lit):
 
 
 def number_of(key):
-    """The number of an equation as the paper prints it, "(3)"; "" where it prints none."""
-    number = EQUATIONS[key].number.rstrip("'") if key in EQUATIONS else ""
+    """The number of an equation, "(3)" or "(3')"; "" where the paper prints none."""
+    number = EQUATIONS[key].number if key in EQUATIONS else ""
     return f"({number})" if number else ""
 
 

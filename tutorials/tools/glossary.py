@@ -98,8 +98,8 @@ AXES = {
     "C": "colours of an image",
 }
 HEADS = ("letter", "name", "meaning", "shape", "unit", "equations")
-# The network's own names, which stand for other symbols, and what only saves time.
-LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases", "truth_moments"}
+# The network's own names, which stand for other symbols.
+LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases"}
 
 INTRODUCTION = """\
 # Glossary of symbols
@@ -185,7 +185,7 @@ def links(places):
     for place in places:
         equation = EQUATIONS[place.key]
         number = f"({equation.number})" if equation.number else place.key
-        name = number.replace("')", f") {place.key}")  # "3'" is what Eq. (3) says by analogy
+        name = number.replace("')", f"') {place.key}")  # what Eq. (3) says by analogy
         link = f"[{name}](../{file_of(equation)})"
         made.setdefault(place.key, f"**{link}**" if place.computed else link)
     return made.values()

@@ -30,17 +30,18 @@ ROWS = (
     ),
     Row(
         "view",
-        r"$\delta = |x_a - x_c|, \quad d = (x_a - x_c)\,/\,\delta$",
-        r"$\bar x_a = d\,\bar\delta + (\bar d - d\,(d \cdot \bar d))\,/\,\delta$",
+        r"$\delta_{vc} = |x_a - x_c|, \quad d_{vc} = (x_a - x_c)\,/\,\delta_{vc}$",
+        r"$\bar x_a = d_{vc}\,\bar\delta_{vc} + "
+        r"(\bar d_{vc} - d_{vc}\,(d_{vc} \cdot \bar d_{vc}))\,/\,\delta_{vc}$",
     ),
     Row(
         "opacity",
-        r"$\alpha = \tanh \psi_\alpha(f_a, \delta, d)$",
+        r"$\alpha = \tanh \psi_\alpha(f_a, \delta_{vc}, d_{vc})$",
         r"$\bar\psi_\alpha = \bar\alpha\,(1 - \alpha^2)$",
     ),
     Row(
         "color",
-        r"$c = \mathrm{sigmoid}\,\psi_c(f_a, \delta, d)$",
+        r"$c = \mathrm{sigmoid}\,\psi_c(f_a, \delta_{vc}, d_{vc})$",
         r"$\bar\psi_c = \bar c\;c\,(1 - c)$",
     ),
     Row(
@@ -50,20 +51,20 @@ ROWS = (
     ),
     Row(
         "scale",
-        r"$s_i = s_a\,g_i, \quad g = \mathrm{sigmoid}\,\psi_s(f_a, \delta, d)$",
+        r"$s_i = s_a\,g_i, \quad g = \mathrm{sigmoid}\,\psi_s(f_a, \delta_{vc}, d_{vc})$",
         r"$\bar s_a = \sum_i \bar s_i\,g_i \qquad \bar\psi_{s,i} = \bar s_i\,s_a\,g_i\,(1 - g_i)$",
     ),
     Row(
         "mlp",
-        r"networks: $y = h\,W + b, \quad h = \max(0, z)$",
-        r"$\bar W = h^T \bar y \qquad \bar b = \sum_{rows} \bar y \qquad "
+        r"networks: $y = x_1 W + b, \quad x_1 = \max(0, z)$",
+        r"$\bar W = x_1^T \bar y \qquad \bar b = \sum_{rows} \bar y \qquad "
         r"\bar z = (\bar y\,W^T)\,[z > 0]$",
     ),
     Row(
         "deformation",
-        r"$(\Delta x, \Delta s, \Delta r) = \psi_d(E(x), E(t))$",
+        r"$(\Delta x, \Delta s, \Delta r) = \psi_d(\mathcal{E}(x), \mathcal{E}(t))$",
         r"$\bar\psi_d = (\overline{\Delta x}, \overline{\Delta s}, \overline{\Delta r})$;"
-        r" the pipeline sends nothing through $E(x)$ to $x$",
+        r" the pipeline sends nothing through $\mathcal{E}(x)$ to $x$",
     ),
     Row(
         "deformed",
@@ -121,19 +122,20 @@ ROWS = (
     ),
     Row(
         "total_loss",
-        r"$L_{total} = \lambda_{rate}\,L_{rate} + L_{render}$",
-        r"$\bar L_{rate} = \lambda_{rate}\,\bar L_{total} \qquad \bar L_{render} = \bar L_{total}$",
+        r"$\mathcal{L}_{total} = \lambda_{rate}\,\mathcal{L}_{rate} + \mathcal{L}_{render}$",
+        r"$\overline{\mathcal{L}}_{rate} = \lambda_{rate}\,\overline{\mathcal{L}}_{total} \qquad "
+        r"\overline{\mathcal{L}}_{render} = \overline{\mathcal{L}}_{total}$",
     ),
     Row(
         "render_loss",
-        r"$L_{render} = (1 - \lambda)\,\mathrm{mean}\,|I - I^*| + \lambda\,(1 - SSIM)$",
-        r"$\bar I = \bar L_{render}\,(\,(1 - \lambda)\,\mathrm{sign}(I - I^*)\,/\,n "
-        r"- \lambda\,\partial SSIM / \partial I\,)$",
+        r"$\mathcal{L}_{render} = (1 - \lambda)\,\mathrm{mean}\,|I - I^*| + \lambda\,(1 - SSIM)$",
+        r"$\bar I = \overline{\mathcal{L}}_{render}\,"
+        r"(\,(1 - \lambda)\,\mathrm{sign}(I - I^*)\,/\,n - \lambda\,\partial SSIM / \partial I\,)$",
     ),
     Row(
         "rate_loss",
-        r"$L_{rate} = (R_{anchor} + R_{hash})\,/\,n$",
-        r"$\bar R_{anchor} = \bar R_{hash} = \bar L_{rate}\,/\,n$",
+        r"$\mathcal{L}_{rate} = (R_{anchor} + R_{hash})\,/\,n$",
+        r"$\bar R_{anchor} = \bar R_{hash} = \overline{\mathcal{L}}_{rate}\,/\,n$",
     ),
     Row(
         "covariance",
@@ -155,10 +157,10 @@ ROWS = (
 )
 TITLE = "P-4DGS: predictive 4D Gaussian splatting (arXiv:2510.10030)"
 LEGEND = (
-    r"A bar is the gradient of the loss, $\bar x = \partial L / \partial x$. Products are entry by "
-    r"entry; those with $W$, $M$, $V$ and $\Sigma$ are matrix products,"
+    r"A bar is the gradient of the loss, $\bar x = \partial\mathcal{L} / \partial x$. "
+    r"Products are entry by entry; those with $W$, $M$, $V$ and $\Sigma$ are matrix products,"
     "\n"
-    r"and $u \cdot v$ is a scalar product. $[\ldots]$ is 1 where true and 0 elsewhere. "
+    r"and $a \cdot b$ is a scalar product. $[\ldots]$ is 1 where true and 0 elsewhere. "
     r"$\Phi$ is the normal distribution and $\varphi$ its density."
 )
 

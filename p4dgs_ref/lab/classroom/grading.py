@@ -21,6 +21,7 @@ from .room import files_of, keys_of, parts_of, stub, text_of
 from .similar import pairs, statements, unusual
 from .student import Student
 
+NOT_BEGUN = "not begun"
 POINTS = 10  # of an equation, divided among the parts that it has in these shares:
 SHARES = {"forward": 3, "gradients": 3, "hard cases": 4}
 ROLES = {"forward": "out.", "backward": "in_bar."}
@@ -63,7 +64,7 @@ def source_in(folder, key):
         statements(source)
     except (OSError, ValueError, SyntaxError, RecursionError, MemoryError) as error:
         return "", f"{key}.py: {type(error).__name__}: {error}"
-    return ("", "not begun") if source == stub(key) else (source, "")
+    return ("", NOT_BEGUN) if source == stub(key) else (source, "")
 
 
 def row_of(key, files, source, says, seed):
@@ -113,7 +114,8 @@ def wrong_in(case, student, part):
 def reason(key, student):
     """Return what is wrong with the forward or the backward on the published cases."""
     for part in parts_of(key):
-        if message := problem(published.cases(key), student.part(part), (ROLES[part],)):
+        message, _ = problem(published.cases(key), student.part(part), (ROLES[part],))
+        if message:
             return f"{part}: {message}"
     return "right on the published cases, wrong on inputs that are held back"
 
@@ -196,8 +198,11 @@ def to_text(grades):
 
 def details(student):
     """Return the points of a student by equation, with what is wrong."""
-    lines = [student["student"]]
-    for row in student["equations"]:
+    lines, rows = [student["student"]], student["equations"]
+    left = [row["key"] for row in rows if row["says"] == NOT_BEGUN]
+    if left:
+        lines.append(f"{NOT_BEGUN}: {', '.join(left)}")
+    for row in (row for row in rows if row["key"] not in left):
         parts = ", ".join(f"{part} {right}" for part, right in row["parts"].items())
         lines.append(f"{row['key']:<20}  {row['points']:5.2f} of {POINTS}  {parts}".rstrip())
         lines += [f"    {line}" for line in row["says"].splitlines()]

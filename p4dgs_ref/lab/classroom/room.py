@@ -30,25 +30,26 @@ def hand_out(folder, only=None):
     folder = Path(folder)
     for key in only or ():
         entry(EQUATIONS, "equation", key)
-    old = keys_of(folder / "student") if folder.is_dir() and any(folder.iterdir()) else []
-    new = [key for key in EQUATIONS if key in (only or EQUATIONS) and key not in old]
-    rows = "".join(
-        f"| {EQUATIONS[key].number} | `{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
-        f"| {', '.join(f'`{name}`' for name in functions_of(key))} |\n"
-        for key in EQUATIONS
-        if key in old or key in new
-    )
-    files = {"README.md": TEACHER, "student/README.md": STUDENT + rows}
-    for key in new:
-        files |= {f"student/{key}.py": stub(key), f"key/{key}.py": source_of(key)}
+    functions = {key: functions_of(key) for key in EQUATIONS}
     with staged_folder(folder) as staging:
+        old = keys_of(folder / "student") if any(folder.glob("[!.]*")) else []
+        new = [key for key in EQUATIONS if key in (only or EQUATIONS) and key not in old]
+        rows = "".join(
+            f"| {EQUATIONS[key].number} | `{key}.py` | `tutorials/{tutorial_of(key).name}.py` "
+            f"| {', '.join(f'`{name}`' for name in functions[key])} |\n"
+            for key in EQUATIONS
+            if key in old or key in new
+        )
+        files = {"README.md": TEACHER, "student/README.md": STUDENT + rows}
+        for key in new:
+            files |= {f"student/{key}.py": stub(key), f"key/{key}.py": source_of(key)}
         for name, text in files.items():
             (staging / name).parent.mkdir(exist_ok=True)
             (staging / name).write_text(text, encoding="utf-8")
     return {
         "output": str(folder),
         "equations": new,
-        "functions": sum(len(functions_of(key)) for key in new),
+        "functions": sum(len(functions[key]) for key in new),
         "kept": old,
     }
 

@@ -5,7 +5,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +21,11 @@ GOLDEN, PLASTIC = 0.6180339887498949, 0.7548776662466927
 
 
 def simulate(
-    scene_json: str | Path | dict,
+    scene_json: str | Path,
     out_dir: str | Path,
-    progress: Callable[[int, int], object] = lambda done, total: None,
+    progress=lambda done, total: None,
 ) -> None:
-    """Draw all views of a scene.json, or of the dictionary in it, into a folder.
+    """Draw all views of a scene.json into a folder.
 
     The same description gives the same pixels. `progress(done, total)` is called after every
     picture. Nothing reaches the folder before everything is drawn. Raises SceneError for a
@@ -34,12 +33,10 @@ def simulate(
     scene.json is the one that is drawn.
     """
     description = read_description(scene_json)
-    source = None if isinstance(scene_json, dict) else Path(scene_json)
-    text = source.read_text(encoding="utf-8") if source else json.dumps(scene_json, indent=1) + "\n"
     views = {split: place_cameras(description, split) for split in ("train", "test")}
     total, done = sum(map(len, views.values())), 0
-    with new_file(Path(out_dir) / "scene.json", source), staged_folder(out_dir) as folder:
-        (folder / "scene.json").write_text(text, encoding="utf-8")
+    with new_file(Path(out_dir) / "scene.json", scene_json), staged_folder(out_dir) as folder:
+        (folder / "scene.json").write_bytes(Path(scene_json).read_bytes())
         for split, posed in views.items():
             (folder / split).mkdir()
             (folder / f"transforms_{split}.json").write_text(

@@ -36,12 +36,12 @@ def ball_hit(o, d, center, radius):
 
 def sphere_hit(shape, o, d):
     """Where rays enter a sphere."""
-    return ball_hit(o, d, shape.center, shape.radius)
+    return ball_hit(o, d, 0, shape.radius)
 
 
 def sphere_normal(shape, p):
     """Away from the centre."""
-    return (p - shape.center) / shape.radius
+    return p / shape.radius
 
 
 def box_hit(shape, o, d):
@@ -49,9 +49,8 @@ def box_hit(shape, o, d):
 
     A ray that is parallel to a face meets it at an infinity of the right sign.
     """
-    m = o - shape.center
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (-shape.half - m) / d, (shape.half - m) / d
+        one, other = (-shape.half - o) / d, (shape.half - o) / d
     enter = np.fmax.reduce(np.fmin(one, other), axis=1)
     leave = np.fmin.reduce(np.fmax(one, other), axis=1)
     return np.where((enter <= leave) & (enter > 0), enter, np.inf)
@@ -59,7 +58,7 @@ def box_hit(shape, o, d):
 
 def box_normal(shape, p):
     """The point is on the face whose coordinate is largest in units of the box."""
-    q = (p - shape.center) / shape.half
+    q = p / shape.half
     face = np.abs(q).argmax(axis=1)[:, None]
     return np.where(np.arange(3) == face, np.sign(q), 0.0)
 

@@ -29,6 +29,7 @@ def test_a_difference_whose_seeds_lie_on_both_sides_of_1_is_none():
     assert [row["scene"] for row in found] == ["mean", *curve.SCENES]
     assert all((row["first"], row["last"]) == pytest.approx((0.8, 1.1)) for row in found)
     assert {row["verdict"] for row in found} == {"none"}
+    assert all(row["median"] == pytest.approx(1.0) for row in found)  # of the seeds' medians
     fewer = rows_of("d3dgs_small", ALIKE, lambda *_: 0.5)
     assert {row["verdict"] for row in curve.compare(rows + fewer, ALIKE)} == {"fewer"}
 

@@ -10,14 +10,14 @@ VIEW = dict(
     T=np.zeros(3),
     focal=np.array([64.0, 48.0]),
     center=np.array([15.5, 11.5]),
-    size=np.array([32.0, 24.0]),
+    size=np.array([32, 24]),
 )
 NEAR = dict(
     W=np.eye(3),
     T=np.array([0, 0, 1.0]),
     focal=np.ones(2),
     center=np.zeros(2),
-    size=np.array([9.0, 5.0]),
+    size=np.array([9, 5]),
 )
 FLAT = np.diag([0.5, 0.25, 1])
 

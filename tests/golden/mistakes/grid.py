@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from p4dgs_ref.equations.grid_nodes import PRIMES
 from tests.golden.mistakes.kit import NotApplicable, edited, known, port, surgery
 
 # Text of the equations that several mistakes replace.
@@ -391,4 +392,65 @@ HASH_RATE = [
     ),
 ]
 
-MISTAKES = [*HASH_GRID, *HASH_RATE]
+
+# --- the row of a corner ------------------------------------------------------------------------
+def products(corner):
+    return corner.astype(np.uint32) * PRIMES[: corner.shape[1]]
+
+
+def xor(corner):
+    return np.bitwise_xor.reduce(products(corner), axis=1)
+
+
+def first_fastest(corner, res):
+    return corner @ res ** np.arange(corner.shape[1])
+
+
+def of_row(name, description, hashed=xor, dense=first_fastest, is_dense=np.less_equal):
+    """A mistake in one part of the rule for the row of a corner."""
+
+    def run(given, _):
+        corner, res, table = given["corner"], given["res"], given["table"]
+        if is_dense(res ** corner.shape[1], table):
+            row = dense(corner, res)
+        else:
+            row = hashed(corner) % hashed(corner).dtype.type(table)
+        return {"row": row.astype(np.int64)}, {}
+
+    return surgery("hash_index", f"hash-index-{name}", description, run)
+
+
+HASH_INDEX = [
+    of_row(
+        "no-wrap",
+        "the products are not wrapped to 32 bits before the XOR",
+        lambda corner: np.bitwise_xor.reduce(
+            corner * PRIMES[: corner.shape[1]].astype(np.int64), axis=1
+        ),
+    ),
+    of_row(
+        "added", "the products are added: XOR is meant", lambda c: products(c).sum(1, np.uint32)
+    ),
+    of_row(
+        "always-hashed",
+        "corners are hashed also where all nodes fit the table",
+        is_dense=lambda nodes, table: False,
+    ),
+    of_row(
+        "dense-strict", "< for <=: hashed where the nodes fill the table exactly", is_dense=np.less
+    ),
+    of_row(
+        "last-fastest",
+        "where the table holds all nodes, the last axis runs fastest",
+        dense=lambda corner, res: first_fastest(corner[:, ::-1], res),
+    ),
+    of_row(
+        "prime-order",
+        "the primes of y and z are exchanged in the hash",
+        lambda c: np.bitwise_xor.reduce(
+            c.astype(np.uint32) * PRIMES[[0, 2, 1]][: c.shape[1]], axis=1
+        ),
+    ),
+]
+
+MISTAKES = [*HASH_GRID, *HASH_INDEX, *HASH_RATE]

@@ -11,7 +11,10 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
+from p4dgs_ref import EQUATIONS
+from tests.equations.rules import altered
 from tests.golden import checks
+from tests.golden.mutate import rewritten
 from tests.golden.subjects import subjects
 
 
@@ -101,6 +104,26 @@ def edited(subject, id, description, changes, helper=None):
     return Mistake(id, subject, description, run)
 
 
+def with_module(subject, id, description, module, imported, wrong):
+    """Return a mistake that is the equation's own file with another `module` in place of its own.
+
+    `imported` is the line of the file that imports it, and what stands there instead.
+    """
+
+    @cache
+    def names():
+        place = EQUATIONS[subject].module.__name__
+        return rewritten(place, dict([imported]), **{module: wrong()})
+
+    def run(given, cotangents):
+        both = names()
+        eq = altered(EQUATIONS[subject], forward=both["forward"], backward=both["backward"])
+        outputs, pullback = eq.vjp(**given)
+        return outputs, pullback(**cotangents)
+
+    return Mistake(id, subject, description, run)
+
+
 # --- transformations that recur -----------------------------------------------------------------
 def without(name):
     """The changes that leave an input out of the formula."""
@@ -133,6 +156,16 @@ def first_rows(order):
         inputs=lambda given: rows(given, inverse(order(given))),
         inputs_bar=lambda bars, given: rows(bars, order(given)),
     )
+
+
+def layer_transposed(i):
+    """The changes that transpose one layer where its shape does not give that away."""
+
+    def transposed(weights, *_):
+        at = range(len(weights))[i] if -len(weights) <= i < len(weights) else None
+        return [squares_transposed([W])[0] if j == at else W for j, W in enumerate(weights)]
+
+    return dict(inputs={"weights": transposed}, inputs_bar={"weights": transposed})
 
 
 def squares_transposed(weights, *_):

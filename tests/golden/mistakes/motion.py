@@ -1,20 +1,25 @@
 """Known mistakes in the encoding of position and time and in Eqs. (5) and (6)."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 
+from p4dgs_ref.equations import mlp, positional_encoding
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
+from tests.golden.checks import edited as edited_equation
 from tests.golden.mistakes.kit import (
     edited,
     given_as,
     inverse,
     known,
+    layer_transposed,
     no_gradient,
     port,
     relu,
     squares_transposed,
     surgery,
+    with_module,
 )
 
 # --- positional encoding ------------------------------------------------------------------------
@@ -170,6 +175,59 @@ def headless(given, keep):
     return {**given, "biases": [*given["biases"][:-3], *map(keep, given["biases"][-3:])]}
 
 
+IMPORTED = "from . import mlp, positional_encoding"
+
+
+def with_encoding(id, description, wrong):
+    """A port without a positional encoding of its own, whose E(x) and E(t) are wrong."""
+    return with_module(
+        "deformation",
+        id,
+        description,
+        "positional_encoding",
+        (IMPORTED, "from . import mlp"),
+        wrong,
+    )
+
+
+def of_frequencies(text):
+    """A positional encoding with other frequencies."""
+    return lambda: edited_equation(
+        "positional_encoding", {"(1 << np.arange(L)).astype(dtype)": f"({text}).astype(dtype)"}
+    )
+
+
+def with_cosines_first():
+    def forward(p, L):
+        E, saved = positional_encoding.forward(p, L)
+        return E[:, cosines_first(p.shape[1], L)], (saved, p.shape[1])
+
+    def backward(saved, E_bar):
+        (E, L), D = saved
+        return positional_encoding.backward((E, L), E_bar[:, inverse(cosines_first(D, L))])
+
+    return SimpleNamespace(forward=forward, backward=backward)
+
+
+def linear_before_heads():
+    """An mlp without the ReLU before its last layer, which is that of the heads."""
+
+    def forward(x, weights, biases):
+        y, saved = mlp.forward(x, weights[:-1], biases[:-1]) if weights[1:] else (x, None)
+        return y @ weights[-1] + biases[-1], (saved, y, weights)
+
+    def backward(saved, y_bar, needs_x=True):
+        trunk, y, weights = saved
+        last = {"weights": [y.T @ y_bar], "biases": [y_bar.sum(axis=0)]}
+        bar = y_bar @ weights[-1].T
+        if trunk is None:
+            return {"x": bar, **last} if needs_x else last
+        first = mlp.backward(trunk, bar, needs_x)
+        return first | {name: [*first[name], *bars] for name, bars in last.items()}
+
+    return SimpleNamespace(forward=forward, backward=backward)
+
+
 def relu_shown(out, _):
     return {name: relu(a)[0] for name, a in out.items()}
 
@@ -209,6 +267,47 @@ DEFORMATION = [
         "square weights are transposed: as PyTorch stores them, or twice",
         inputs={"weights": squares_transposed},
         inputs_bar={"weights": squares_transposed},
+    ),
+    with_encoding(
+        "deformation-frequencies-from-one",
+        "the frequencies of E are 2^1 ... 2^L instead of 2^0 ... 2^(L-1)",
+        of_frequencies("2 << np.arange(L)"),
+    ),
+    with_encoding(
+        "deformation-pi",
+        "the frequencies of E have a factor pi: sin(2^j pi p)",
+        of_frequencies("np.pi * (1 << np.arange(L))"),
+    ),
+    with_encoding(
+        "deformation-two-pi",
+        "the frequencies of E have a factor 2 pi: sin(2^j 2 pi p)",
+        of_frequencies("2 * np.pi * (1 << np.arange(L))"),
+    ),
+    with_encoding(
+        "deformation-cosines-first",
+        "E has the cosines of a frequency before its sines",
+        with_cosines_first,
+    ),
+    with_module(
+        "deformation",
+        "deformation-no-relu-before-heads",
+        "no ReLU stands between the trunk's last layer and the heads",
+        "mlp",
+        (IMPORTED, "from . import positional_encoding"),
+        linear_before_heads,
+    ),
+    *(
+        known(
+            "deformation",
+            f"deformation-{name}-transposed",
+            f"the weight of {says} is transposed: as PyTorch stores it, or twice",
+            **layer_transposed(i),
+        )
+        for name, i, says in (
+            ("first", 0, "the trunk's first layer"),
+            ("second", 1, "the trunk's second layer"),
+            ("rotation", -1, "the head of rotation"),
+        )
     ),
     known(
         "deformation",

@@ -8,6 +8,7 @@ from tests.golden.mistakes.kit import (
     first_rows,
     hac_order,
     known,
+    layer_transposed,
     no_gradient,
     squares_transposed,
     without,
@@ -35,6 +36,13 @@ OFFSETS = [
         "the offsets are added without l_a",
         inputs={"l_a": np.ones_like},
         inputs_bar={"l_a": no_gradient},
+    ),
+    known(
+        "offsets",
+        "offsets-subtracted",
+        "the offsets are subtracted: x_a - O_a l_a",
+        inputs={"l_a": np.negative},
+        inputs_bar={"l_a": lambda bar, _: -bar},
     ),
     known(
         "offsets",
@@ -477,6 +485,15 @@ MLP = [
         "square weights are transposed: as PyTorch stores them, or twice",
         inputs={"weights": squares_transposed},
         inputs_bar={"weights": squares_transposed},
+    ),
+    *(
+        known(
+            "mlp",
+            f"mlp-{name}-transposed",
+            f"the weight of the {name} layer is transposed: as PyTorch stores it, or twice",
+            **layer_transposed(i),
+        )
+        for name, i in (("first", 0), ("second", 1))
     ),
     known(
         "mlp",

@@ -50,6 +50,12 @@ NOISE = [
     ),
     known(
         "noise",
+        "noise-half-as-wide",
+        "the noise lies in [-1/4, 1/4) instead of [-1/2, 1/2)",
+        inputs={"u": lambda u: u / 2},
+    ),
+    known(
+        "noise",
         "noise-no-gradient-of-step",
         "no gradient flows to q",
         inputs_bar={"q": no_gradient},
@@ -85,6 +91,15 @@ STEP = [
             "share = 2 * sigmoid(2 * psi_q)": "share = np.tanh(psi_q)",
             "np.maximum(share, SMALLEST)": "share",
             FLOORED: "Q_0 * (1 - share**2)",
+        },
+    ),
+    edited(
+        "step",
+        "step-no-one-but-a-floor",
+        "q = Q_0 tanh(psi_q), above the floor: the 1 + is missing",
+        {
+            "share = 2 * sigmoid(2 * psi_q)": "share = np.tanh(psi_q)",
+            FLOORED: "np.where(share > SMALLEST, Q_0 * (1 - share**2), 0)",
         },
     ),
     edited(

@@ -12,7 +12,7 @@ import pytest
 
 from p4dgs_ref.cli.parser import run
 from p4dgs_ref.lab import classroom
-from p4dgs_ref.lab.classroom import similar, student
+from p4dgs_ref.lab.classroom import grading, similar, student
 from p4dgs_ref.lab.classroom.room import (
     MAX_STUDENT_BYTES,
     STUDENT,
@@ -102,6 +102,10 @@ def test_the_key_gets_all_points_and_files_not_begun_get_none(tmp_path, keys):
     assert {row["says"] for row in empty["equations"]} == {"not begun"}
     assert [row["points"] for row in full["equations"]] == [10] * len(keys)
     assert {row["says"] for row in full["equations"]} == {""}
+    lines = grading.to_text(grades).splitlines()
+    assert f"not begun: {', '.join(keys)}" in lines and "not begun" not in "".join(
+        lines[-len(keys) :]
+    )
     (pair,) = grades["alike"]
     assert pair == {"students": [str(tmp_path / "key"), "the key"], "keys": keys}
 

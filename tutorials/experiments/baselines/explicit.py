@@ -300,8 +300,8 @@ class Trainer(trainer.Trainer):
         x_c = view.camera.center.astype(p.vector.dtype)
         g, back_predict = model.predict(view.time, x_c, self.iteration)
         (image, _, visible), back_render = model.render_gaussians(g, view.camera, self.settings)
-        truth, moments = view.image.astype(image.dtype), self.moments_of(view)
-        losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim, moments)
+        truth = view.image.astype(image.dtype)
+        losses, back_loss = with_backward(render_loss, image, truth, preset.lambda_ssim)
         bars = back_render(back_loss(1.0)["image"])
         gaussians_bar = [bars[name].astype(p.vector.dtype) for name in g._fields[:-1]]
         for name, gradient in back_predict(*gaussians_bar).items():

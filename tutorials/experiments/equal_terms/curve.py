@@ -6,7 +6,9 @@ makes the rows that `records/curve.csv` lacks, prints how the methods compare, a
 are stored as the authors of a method store them, in float16, or coded alike (`coded`). A method's
 curve goes through its best points: those with a higher PSNR on held-back views than all smaller
 files of this method and storage. So sizes and steps are chosen without the test views, whose PSNR
-is drawn. Where the record lacks seeds, a curve has those that all of its points have.
+is drawn. One choice needs them: the bytes at a PSNR are one number only where a curve rises, so a
+point without a higher PSNR of test views than all smaller files is left out then, on all sides.
+Where the record lacks seeds, a curve has those that all of its points have.
 """
 
 from functools import cache, partial
@@ -62,8 +64,7 @@ COLUMNS = {
     "storage": "{storage}",
     "seeds": "{seeds}",
     "dB": "{low:.2f} to {high:.2f}",
-    "least": "{least:.2f}",
-    "median": "{median:.2f}",
+    "times": "{median:.2f}",
     "of the seeds": "{first:.2f} to {last:.2f}",
     "": "{verdict}",
 }
@@ -195,8 +196,9 @@ def curve_of(rows):
 def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
-    Both have networks of one size. A difference whose seeds lie on both sides of 1 is none;
-    that of fewer than three seeds is open.
+    Both have networks of one size. Every seed has its curves and its median factor; `median` is
+    the median of these. A difference whose seeds lie on both sides of 1 is none; that of fewer
+    than three seeds is open.
     """
     found = []
     for scene in scenes:
@@ -205,15 +207,18 @@ def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
         theirs = chosen(own, method="d3dgs_small", storage=storage)
         seeds = sorted({row["seed"] for row in ours} & {row["seed"] for row in theirs})
         pairs = [(chosen(ours, seed=seed), chosen(theirs, seed=seed)) for seed in seeds]
-        sides = [[row for pair in pairs for row in pair[i]] for i in (0, 1)]
-        of_all = factors(*map(curve_of, sides)) if pairs else {}
-        each = [factors(*map(curve_of, pair)).get("median") for pair in pairs]
-        if of_all and None not in each:
-            first, last = min(each), max(each)
+        each = [factors(*map(curve_of, pair)) for pair in pairs]
+        if each and all(each):
+            medians = [one["median"] for one in each]
+            first, last = min(medians), max(medians)
             verdict = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
             verdict = verdict if len(seeds) > 2 else "open: too few seeds"
             names = dict(scene=scene, storage=storage, papers=papers, seeds=len(seeds))
-            found.append({**names, **of_all, "first": first, "last": last, "verdict": verdict})
+            levels = dict(
+                low=min(one["low"] for one in each), high=max(one["high"] for one in each)
+            )
+            middle = dict(median=float(np.median(medians)), first=first, last=last)
+            found.append({**names, **levels, **middle, "verdict": verdict})
     return found
 
 

@@ -2,7 +2,7 @@
 
 A curve is a list of points (bytes, PSNR in dB). In a comparison only its front counts: the points
 with a higher PSNR than all smaller files. Between them, the logarithm of the bytes is interpolated
-over PSNR.
+over PSNR, which is that of test views: a front is chosen on them.
 """
 
 import numpy as np
@@ -62,7 +62,7 @@ def best(points):
 
 
 def factors(points, others):
-    """The least and the median factor from the bytes of `points` to those of `others`.
+    """The median factor from the bytes of `points` to those of `others`.
 
     They are taken at equal PSNR, at every point of the two fronts that lies in the PSNRs from `low`
     to `high`, which both reach. Without any, the result is empty.
@@ -73,7 +73,6 @@ def factors(points, others):
     return ratios and {
         "low": min(ratios),
         "high": max(ratios),
-        "least": min(ratios.values()),
         "median": float(np.median([*ratios.values()])),
     }
 
