@@ -238,21 +238,25 @@ def test_a_shell_gets_one_page_of_pictures_and_remarks_on_what_is_odd(tmp_path, 
         assert remark in printed
 
 
-ROW = re.compile(r"# \| ([^|]+) \| ([\d.]+) \| ([\d.]+) to ([\d.]+) \| (.+) \|")
+RANGE = r"([\d.,]+) to ([\d.,]+)"
+ROW = re.compile(rf"# \| ([^|]+) \| [\d.]+ \| {RANGE} \| {RANGE} \| ([\d.]+) \| ([\d,]+) \|")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", of_the_day([0, 1, 2]))
-def test_designs_are_as_good_as_the_table_says(seed, whole):
-    """Bytes that are not coded are the table's; the others and the dB are near its range."""
-    told = {name: numbers for name, *numbers in ROW.findall(SOURCE)}
-    assert len(told) == 5
+def test_designs_are_within_the_ranges_of_the_table(seed, whole):
+    """Where other last bits lead training elsewhere, it may be a little outside."""
+    rows = {
+        name: [float(number.replace(",", "")) for number in numbers]
+        for name, *numbers in ROW.findall(SOURCE)
+    }
+    assert len(rows) == 5
     for name, quality, size, N, networks in whole.designs(seed):
-        _, least, greatest, sizes = told[name]
-        without, each, whole_file = (float(n.replace(",", "")) for n in sizes.split(" | "))
-        assert float(least) - 0.5 <= quality <= float(greatest) + 0.5, name
-        assert size == pytest.approx(without, rel=0.05) and each == round(without / N, 1), name
-        assert size + networks == pytest.approx(whole_file, rel=0.01), name
+        worst, best, fewest, most, each, everything = rows[name]
+        assert worst - 0.5 <= quality <= best + 0.5, name
+        assert 0.98 * fewest <= size <= 1.02 * most, name
+        assert 0.98 * fewest / N - 0.05 <= each <= 1.02 * most / N + 0.05, name
+        assert 0.98 * fewest <= everything - networks <= 1.02 * most, name
 
 
 def test_rows_of_four_pictures_are_of_one_size_with_names_and_without(whole):
