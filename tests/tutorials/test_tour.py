@@ -2,6 +2,7 @@
 
 import re
 
+import imageio.v3 as iio
 import pytest
 
 from p4dgs_ref import lessons
@@ -24,7 +25,21 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     with figures.styled(lessons.STYLE):  # as they are drawn: numbers of colour bars are made then
         shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
         assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
+        assert tour.PICTURES[title][0] in [label for label, _ in drawn.texts(figure)]
     assert set() != set(NUMERAL.findall(UNREAD.sub("", text))) <= shown
+
+
+def test_every_picture_has_a_question_before_its_text_and_its_answer_is_hidden():
+    for section in SECTIONS[:10]:
+        question = section.split("\n\n")[2]
+        assert question.startswith("**Question.**") and question.endswith("?"), section[:20]
+        assert section.count("<details><summary>Answer</summary>\n\n") == 1, section[:20]
+
+
+@pytest.mark.parametrize("name", ["bin", "noise"])
+def test_moving_pictures_are_small(name):
+    data = (tour.PLACE / f"{name}.gif").read_bytes()
+    assert len(data) <= 300_000 and len(iio.imread(data, extension=".gif")) > 20
 
 
 def test_slides_have_ten_pages():

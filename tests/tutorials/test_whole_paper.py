@@ -122,8 +122,7 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
     rng = np.random.default_rng(stage)
     p, u = awake(whole, rng), rng.random((whole.A, whole.n)) - 0.5
     R, T, t, image = shot = whole.shots(24, 0)[7]
-    weights = whole.node_weights(p["x_a"]) if stage == 4 else None
-    L, parts, back = whole.loss(p, shot, u, stage, weights)
+    L, parts, back = whole.loss(p, shot, u, stage)
     mine = back()
 
     theirs, design = in_the_package(whole, p)
@@ -157,6 +156,14 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
             close(expected[name], array, 1e-9)
 
 
+@pytest.mark.slow
+def test_gradients_match_finite_differences_and_a_wrong_one_is_named(whole):
+    assert whole.check() == []
+    p = {"c": np.ones(3)}
+    (line,) = whole.mismatches("cubes", lambda p: ((p["c"] ** 3).sum(), {}, lambda: p), p)
+    assert line.startswith("cubes, c: ")
+
+
 # --- bytes ----------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def short():
@@ -177,7 +184,7 @@ def test_decoded_values_are_those_that_were_encoded(short):
             assert np.array_equal(decoded[name], p[name].astype(np.float16))
     assert np.array_equal(decoded["x_a"], p["x_a"])  # on the lattice since stage 4
     assert np.array_equal(decoded["grid"], module.signs(p["grid"]))
-    (q, *_), _ = module.context(decoded, module.node_weights(decoded["x_a"]))
+    (q, *_), _ = module.context(decoded)
     assert np.array_equal(values, module.rounding(module.attributes(p), q) * q[:, module.GROUP])
     assert np.abs(values - module.attributes(p)).max() > 0
 
@@ -190,6 +197,13 @@ def test_file_takes_the_bytes_that_the_equations_say(short):
     # It can be less: after so short a training some numbers lie where Eq. (11) says 100 bits, and
     # the coder has a slot of 24 bits for them.
     assert 8 * (len(file["grid"]) + len(file["anchors"])) <= 1.03 * bits
+
+
+def test_a_file_that_is_longer_than_the_equations_say_is_remarked_on(short, capsys):
+    module, p, file = short
+    longer = file | {"anchors": file["anchors"] + bytes(999)}
+    module.report(p, longer, module.views, module.unseen)
+    assert "They differ" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -214,26 +228,48 @@ def test_training_reaches_its_quality_from_the_decoded_bytes(seed, least, whole,
 @pytest.mark.slow
 def test_a_shell_gets_one_page_of_pictures_and_remarks_on_what_is_odd(tmp_path, capsys):
     source = SOURCE.replace("STAGE_ENDS = (20, 40, 800, 1300)", "STAGE_ENDS = (0, 10, 20, 30)")
+    source = source.replace("600, rng)", "30, rng)")
     plt.close("all")  # figures that other tests left open
     exec(source, {"__name__": "__main__", "__file__": str(tmp_path / "00_whole_paper.py")})
     page = tmp_path / "out" / "00_pictures.png"
-    assert iio.imread(page).shape[:2] == (2940, 900)  # eleven figures below each other
+    assert iio.imread(page).shape[:2] == (2110, 900)  # nine figures below each other
     printed = capsys.readouterr().out
-    for remark in ("stage 1 changed nothing", "no better than the mean", "They differ", str(page)):
+    for remark in ("stage 1 changed nothing", "no better than the mean", str(page)):
         assert remark in printed
 
 
-def test_rows_of_four_pictures_are_of_one_size_with_names_and_with_a_scale(whole):
+RANGE = r"([\d.,]+) to ([\d.,]+)"
+ROW = re.compile(rf"# \| ([^|]+) \| [\d.]+ \| {RANGE} \| {RANGE} \| ([\d.]+) \| ([\d,]+) \|")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", of_the_day([0, 1, 2]))
+def test_designs_are_within_the_ranges_of_the_table(seed, whole):
+    """Where other last bits lead training elsewhere, it may be a little outside."""
+    rows = {
+        name: [float(number.replace(",", "")) for number in numbers]
+        for name, *numbers in ROW.findall(SOURCE)
+    }
+    assert len(rows) == 5
+    for name, quality, size, N, networks in whole.designs(seed):
+        worst, best, fewest, most, each, everything = rows[name]
+        assert worst - 0.5 <= quality <= best + 0.5, name
+        assert 0.98 * fewest <= size <= 1.02 * most, name
+        assert 0.98 * fewest / N - 0.05 <= each <= 1.02 * most / N + 0.05, name
+        assert 0.98 * fewest <= everything - networks <= 1.02 * most, name
+
+
+def test_rows_of_four_pictures_are_of_one_size_with_names_and_without(whole):
     plt.close("all")
     pictures = np.zeros((4, whole.SIZE**2))
-    for settings in ({}, {"names": "abcd"}, {"white": 0.25}):
-        whole.strip("title", pictures, **settings)
+    for names in (None, "abcd"):
+        whole.strip("title", pictures, names)
     rows = [plt.figure(number) for number in plt.get_fignums()]
     for row in rows:
         row.canvas.draw()
     boxes = [[axis.get_window_extent().bounds for axis in row.axes[:4]] for row in rows]
     plt.close("all")
-    assert boxes[0] == boxes[1] == boxes[2]
+    assert boxes[0] == boxes[1]
 
 
 # --- form -----------------------------------------------------------------------------------------
@@ -243,4 +279,9 @@ def test_it_needs_nothing_of_the_package():
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     roots = {name.split(".")[0] for name in names}
     assert roots - set(sys.stdlib_module_names) == {"numpy", "scipy", "matplotlib"}
-    assert len(SOURCE.splitlines()) <= 1080 and "Eq. (1):" in SOURCE[:4000]
+    assert len(SOURCE.splitlines()) <= 1130
+
+
+def test_something_has_been_learned_within_250_lines():
+    start = "\n".join(SOURCE.splitlines()[:250])
+    assert "fit(" in start and "learn one picture" in start.rpartition("fit(")[2]

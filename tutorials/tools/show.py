@@ -27,6 +27,7 @@ from p4dgs_ref.training.progress import psnr
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
+OWN = lessons.THREAD.color  # of the anchor that leads through all pages
 AMOUNT = "viridis"  # the colours of an amount: bits, distances, deviations
 PARTS = {  # of an anchor's bits: shades of RATE
     "position, masks": "#b0b0b0",
@@ -127,15 +128,15 @@ def ellipses(ax, mean2d, cov2d, **style):
 
 def families(ax, model, camera, anchor, t=None):
     """Draw anchors, their children, and a line from each to its anchor; one family stands out."""
-    g, own = model.gaussians(t, camera), lessons.THREAD.color
+    g = model.gaussians(t, camera)
     parents = g.index // model.design.k
     anchors, children = (to_pixels(x, camera) for x in (model.anchors.x_a, g.x))
     lines, of_anchor = np.stack([anchors[parents], children], axis=1), parents == anchor
-    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, own, 3, 70)):
+    for which, color, width, size in ((~of_anchor, SPACE, 0.8, 9), (of_anchor, OWN, 3, 70)):
         ax.add_collection(LineCollection(lines[which], colors=color, lw=width, zorder=1 + width))
         ax.scatter(*children[which].T, size, color, lw=0, zorder=2 + width)
     ax.scatter(*anchors.T, 26, ANCHOR, lw=0, zorder=3)
-    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=own, lw=3, zorder=6)
+    ax.scatter(*anchors[anchor], 120, ANCHOR, edgecolor=OWN, lw=3, zorder=6)
 
 
 def strip(ax, sizes, y, colors, labels=()):
@@ -169,31 +170,33 @@ def anchors(figure, model, camera, anchor, view):
     left.set(
         title=f"{model.primitives} anchors (black), {len(g.x)} children (blue)",
         xlabel=f"here k = {model.design.k}: {model.anchors.mask.sum(axis=1).mean():.1f} are left\n"
-        f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left",
+        f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left;\n"
+        "anchors save 87 % of T-Rex (its Table 3)",
     )
     families(left, model, camera, anchor)
     picture(right, image, camera, **view, title="the children, drawn as Gaussians")
     of_anchor = g.index // model.design.k == anchor
     others = ~of_anchor
-    for which, colors, width in ((others, 0.7 * g.color[others], 1), (of_anchor, STEP, 4)):
+    for which, colors, width in ((others, 0.7 * g.color[others], 1), (of_anchor, OWN, 4)):
         ellipses(right, *splats(g, camera, which)[:2], fc="none", ec=colors, lw=width)
 
 
-def prediction(figure, file, camera, t, anchor):
-    """The feature of an anchor of a Quantised model, and its Gaussians."""
-    feature, family = figure.subplots(1, 2, width_ratios=(1, 1.3))
+def prediction(figure, file, cameras, t, anchor):
+    """The feature of an anchor of a Quantised model, and its Gaussians from {side: camera}."""
+    feature, *sides = figure.subplots(1, 1 + len(cameras))
     symbols = file.symbols[anchor, : file.model.design.d]
     feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
     feature.set(title=f"one feature: {len(symbols)} integers", xlabel="integer", yticks=())
     feature.locator_params(axis="x", integer=True)
-    g = file.model.gaussians(t, camera)
-    children = g.index // file.model.design.k == anchor
-    mean2d, cov2d, *_ = splats(g, camera, children)
-    x, y = mean2d.mean(axis=0)
-    image = 0.3 * frame(file.model, camera, t, 20) + 0.7
-    picture(family, image, camera, xlim=(x - 8, x + 8), ylim=(y + 8, y - 8))
-    ellipses(family, mean2d, cov2d, fc=g.color[children], ec=STEP, lw=3)
-    family.set_title(f"its {children.sum()} Gaussians")
+    for ax, (side, camera) in zip(sides, cameras.items()):
+        g = file.model.gaussians(t, camera)
+        children = g.index // file.model.design.k == anchor
+        mean2d, cov2d, *_ = splats(g, camera, children)
+        x, y = mean2d.mean(axis=0)
+        limits = {"xlim": (x - 8, x + 8), "ylim": (y + 8, y - 8)}
+        picture(ax, 0.3 * frame(file.model, camera, t, 20) + 0.7, camera, **limits)
+        ellipses(ax, mean2d, cov2d, fc=g.color[children], ec=OWN, lw=3)
+        ax.set_title(f"its {children.sum()} Gaussians {side}")
 
 
 def time(figure, model, camera, t, view):
@@ -259,7 +262,7 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
         values, counts = np.unique(file.symbols[:, :d], return_counts=True)
         bottom.bar(factor * values, 100 * counts / counts.sum(), 0.85 * factor, color=STEP)
         bottom.set(
-            title=f"{len(values)} values",
+            title=f"{len(values)} different integers",
             xlabel="feature, in multiples of\nthe left column's step",
             ylabel="% of all",
             xlim=(-25, 25),
@@ -302,8 +305,13 @@ def knowledge(figure, file, level, side=160):
 
 
 def bits(figure, data, camera, t, view):
-    """Every anchor of a file in the colour of its bits, and what the bits are spent on."""
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
+    """Every anchor of a file in the colour of its bits, and what the bits are spent on.
+
+    Returns axes for more.
+    """
+    left, right, more = figure.subplot_mosaic(
+        "ab;ac", width_ratios=(1, 1.1), height_ratios=(1.7, 1)
+    ).values()
     model, whole = anchor_bits(data)
     scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
@@ -315,9 +323,8 @@ def bits(figure, data, camera, t, view):
     rows = table[whole.argmin()], table.mean(axis=0), table[whole.argmax()]
     for i, row in enumerate(rows):
         strip(right, dict(zip(PARTS, row)), i, PARTS)
-    costs = [
-        f"{w}:\n{sum(row):.0f} bits" for w, row in zip(("cheapest", "mean", "costliest"), rows)
-    ]
-    right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 4.4))
+    costs = [f"{w}: {sum(row):.0f}" for w, row in zip(("cheapest", "mean", "costliest"), rows)]
+    right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 6.8))
     means = [f"{name}: {mean:.0f}" for name, mean in zip(PARTS, rows[1])]
     right.legend(right.patches[: len(PARTS)], means, ncols=2, frameon=False, title="mean bits")
+    return more

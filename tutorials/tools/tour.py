@@ -1,25 +1,25 @@
 """The paper in ten pictures: tutorials/tour/*.png and tour.pdf, from the demo's file.
 
 `python -m tutorials.tools.syllabus tour` draws them. tutorials/tour.md is their text, whose numbers
-a test finds in the pictures. `python -m tutorials.tools.tour` trains the failures of the last
-picture anew, which takes a few minutes; their files lie beside the pictures, so that nobody has to
-train in order to draw.
+a test finds in the pictures. `python -m tutorials.tools.tour` makes the other trainings anew
+(the failures of the last picture, and other rates), which takes some minutes; their files lie
+beside the pictures, so that nobody has to train in order to draw.
 """
 
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
-from scipy.special import ndtr
 
 from p4dgs_ref import lessons, output
-from p4dgs_ref.codec import container, quantise, rans
+from p4dgs_ref.codec import container, quantise
 from p4dgs_ref.codec.file import decode, encode, quantised_of
 from p4dgs_ref.report import evaluate, figures, inspect
 from p4dgs_ref.scenes import load, simulator
 from p4dgs_ref.scenes.files import write_image
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.trainer import Trainer
+from tutorials import tour_moving
 from tutorials.tools import animation, handout, shared, show
 
 PLACE = shared.FOLDER / "tour"
@@ -31,9 +31,14 @@ FILE = quantised_of(container.read_container(DATA))
 MODEL, DESIGN = FILE.model, FILE.model.design
 TRUTH = animation.truth(SCENE, CAMERA, T, MODEL.background)
 
+SIDES = {
+    name: simulator.camera_at(SCENE, *np.radians((azimuth, 26)))
+    for name, azimuth in {"from one side": 30, "from the other": 210}.items()
+}
+
 # Of each of the paper's datasets: what it claims, the limits of PSNR in the picture, (MB, PSNR in
 # dB) of P-4DGS at four rates, from its last table, and (MB, PSNR, frames/s) of both methods, from
-# its first ones. The paper does not say which files it divides; the second rate fits its claims.
+# its first ones.
 PAPER = (
     (
         "synthetic scenes (D-NeRF): “over 40×”",
@@ -80,22 +85,23 @@ class Silent(np.random.Generator):
         return super().random(size) if dtype is np.float64 else np.full(size, 0.5, dtype)
 
 
-FAILURES = {  # title: generator of training, and what of the demo's preset changes
-    "no noise": (Silent, {}),
-    "no rate": (np.random.Generator, {"lambda_rate": 0.0}),
-    "rate times 100": (np.random.Generator, {"lambda_rate": 100 * TINY.lambda_rate}),
+PRICES = {0: "no rate", 4: "rate times 4", 16: "rate times 16", 100: "rate times 100"}
+OTHERS = {  # title of a file: generator of training, and by what the demo's rate is multiplied
+    "no noise": (Silent, 1),
+    **{title: (np.random.Generator, price) for price, title in PRICES.items()},
 }
 
 
 def place_of(title):
-    """The file of a failure."""
+    """The file of another training."""
     return PLACE / f"{title.replace(' ', '_')}.p4dgs"
 
 
 def train():
-    """Train the failures and write their files."""
-    for title, (generator, changes) in FAILURES.items():
-        run = Trainer(load.load_scene("bouncing"), replace(TINY, **changes))
+    """Make the other trainings and write their files."""
+    for title, (generator, price) in OTHERS.items():
+        preset = replace(TINY, lambda_rate=price * TINY.lambda_rate)
+        run = Trainer(load.load_scene("bouncing"), preset)
         run.rng = generator(run.rng.bit_generator)
         place_of(title).write_bytes(encode(run.run()))
 
@@ -116,7 +122,6 @@ def why(figure):
     left.set(aspect="equal", title="our scene (area = bytes)", **show.BARE)
     for ax, (claim, limits, rates, methods) in zip(panels, PAPER):
         ax.plot(*zip(*rates), "o-", color=show.SPACE)
-        small, quality = rates[1]
         for (name, (size, psnr, fps)), color in zip(methods.items(), (show.SPACE, show.GREY)):
             ax.plot(float(size), float(psnr), "o", ms=10, color=color)
             ax.text(
@@ -127,9 +132,6 @@ def why(figure):
                 size=14,
                 va="bottom",
             )
-        ratio = float(size) / small  # the last method is D3DGS
-        text = f"← {size} MB / {small} MB = {ratio:.0f},\n    at {quality} dB"
-        ax.text(1.1 * small, quality, text, size=14, va="top")
         ax.set(
             title=f"the paper's {claim}",
             ylabel="PSNR (dB)",
@@ -172,6 +174,19 @@ def parts(figure):
     ax.set(xlim=(0, 100), ylim=(-1.4, 4.9), **show.BARE)
 
 
+def bits(figure):
+    """What anchors cost, and the files of other rates."""
+    ax, scene = show.bits(figure, DATA, CAMERA, T, VIEW), load.load_scene("bouncing")
+    files = {1: DATA} | {price: place_of(title).read_bytes() for price, title in PRICES.items()}
+    for price, data in files.items():
+        quality = evaluate.evaluate(decode(data), scene)[0]["psnr_db"]
+        ax.plot(len(data), quality, "o", color=show.RATE)
+        align = "bottom" if price < 4 else "top"
+        ax.text(len(data) + 200, quality, f"λ × {price}", va=align)
+    ax.set(title="trainings with other λ", xlabel="bytes", ylabel="PSNR (dB)")
+    ax.set(xlim=(35500, 50000), ylim=(26, 35.5), xticks=range(36000, 50000, 4000))
+
+
 def breaks(figure):
     """The same picture after failures of training and of decoding."""
     sections = container.read_container(DATA)
@@ -179,55 +194,55 @@ def breaks(figure):
     body[9217] ^= 64  # the highest bit of a weight's exponent
     files = {
         "the file": DATA,
-        **{title: place_of(title).read_bytes() for title in FAILURES},
+        **{t: place_of(t).read_bytes() for t in ("no noise", "no rate", "rate times 100")},
         "one bit changed": container.write_container({**sections, "deformation_mlp": bytes(body)}),
     }
     shown = {title: (decode(data), data) for title, data in files.items()}
-    shown["one ulp in the decoder"] = one_ulp()
+    shown["one symbol twice"] = one_symbol_twice()
     for ax, (title, decoded) in zip(figure.subplots(2, 3).flat, shown.items()):
         show.scored_picture(ax, *decoded, CAMERA, T, TRUTH, VIEW, title)
 
 
-def one_ulp(wrong=2276):
-    """The model that a decoder finds if sigma of one symbol is an ulp too large, and the message.
-
-    The coder's tables come from floats here, as tutorial 21 explains. The decoder reads zeros after
-    the data, as many do.
-    """
+def one_symbol_twice(wrong=2276):
+    """The model of a decoder that reads one symbol twice, so that the others come too late."""
     sent, symbols = FILE.symbols[FILE.kept], np.zeros_like(FILE.symbols)
-    n, values = np.arange(len(sent)), np.arange(sent.min(), sent.max() + 1)
-    ctx, q = inspect.float_context(MODEL), np.repeat(FILE.context.q, DESIGN.widths, axis=1)
-    mu, sigma = ((array / q)[FILE.kept].astype(np.float32) for array in (ctx.mu, ctx.sigma))
-
-    def keys():
-        below = ndtr((np.append(-np.inf, values[1:] - 0.5) - mu[:, None]) / sigma[:, None])
-        counts = (below * (rans.CERTAIN - len(values))).astype(np.int64) + np.arange(len(values))
-        return np.append(counts + (n[:, None] << rans.PRECISION), len(n) << rans.PRECISION)
-
-    data = rans.encode(n * len(values) + sent - values[0], keys(), lanes=1)
-    sigma[wrong] = np.nextafter(sigma[wrong], np.float32(np.inf))
-    *_, state, start = rans.read_head(data, 0, len(n), "message")
-    words, entries = np.append(np.frombuffer(data, "<u4", offset=start), 0 * n), 0 * n
-    rans.pop_rows_plainly([state], words, n, keys(), entries)
-    symbols[FILE.kept] = entries - n * len(values) + values[0]
+    symbols[FILE.kept] = np.insert(sent, wrong, sent[wrong])[:-1]
     f, s, l, O = quantise.dequantise(symbols, FILE.context, DESIGN)
-    return replace(MODEL, anchors=MODEL.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)), data
+    return replace(MODEL, anchors=MODEL.anchors._replace(f_a=f, s_a=s, l_a=l, O_a=O)), DATA
 
 
 # --- all pictures ---------------------------------------------------------------------------------
 EDGE = (36, 32)  # column and row of a pixel at the lower edge of the red ball
-FAMILY = 63  # an anchor that has its children all over the front of the green ball
-PICTURES = {  # title: what fills its figure
-    "1  Why": why,
-    "2  Anchors and children": lambda figure: show.anchors(figure, MODEL, CAMERA, FAMILY, VIEW),
-    "3  Prediction": lambda figure: show.prediction(figure, FILE, CAMERA, T, FAMILY),
-    "4  Time": lambda figure: show.time(figure, MODEL, CAMERA, T, VIEW),
-    "5  Splatting": lambda figure: show.pixel(figure, MODEL, CAMERA, T, EDGE),
-    "6  Steps": lambda figure: show.steps(figure, MODEL, CAMERA, T, TRUTH, VIEW),
-    "7  Context": lambda figure: show.knowledge(figure, FILE, level=0.0),
-    "8  Bits": lambda figure: show.bits(figure, DATA, CAMERA, T, VIEW),
-    "9  Bytes": parts,
-    "10  What breaks": breaks,
+FAMILY = lessons.THREAD.index
+PICTURES = {  # title: the sentence to take home, and what fills the figure
+    "1  Why": ("A file need not store what it can predict.", why),
+    "2  Anchors and children": (
+        "Few anchors are stored; they predict many Gaussians.",
+        lambda figure: show.anchors(figure, MODEL, CAMERA, FAMILY, VIEW),
+    ),
+    "3  Prediction": (
+        "Shared networks turn a few integers and the camera's place into Gaussians.",
+        lambda figure: show.prediction(figure, FILE, SIDES, T, FAMILY),
+    ),
+    "4  Time": (
+        "The scene is stored once; a network says where it is at time t.",
+        lambda figure: show.time(figure, MODEL, CAMERA, T, VIEW),
+    ),
+    "5  Splatting": (
+        "A pixel mixes a few Gaussians smoothly, so training can follow the slope.",
+        lambda figure: show.pixel(figure, MODEL, CAMERA, T, EDGE),
+    ),
+    "6  Steps": (
+        "Wider steps give fewer integers, fewer bytes and a worse picture.",
+        lambda figure: show.steps(figure, MODEL, CAMERA, T, TRUTH, VIEW),
+    ),
+    "7  Context": (
+        "What both sides can guess costs little.",
+        lambda figure: show.knowledge(figure, FILE, level=0.0),
+    ),
+    "8  Bits": ("Training minimises error + λ · bits; λ says what a bit may cost.", bits),
+    "9  Bytes": ("Here networks are most of a file; in the paper anchors are.", parts),
+    "10  What breaks": ("Noise, rate and exact decoding are all needed.", breaks),
 }
 
 
@@ -235,7 +250,9 @@ PICTURES = {  # title: what fills its figure
 def page(title):
     """The figure of one picture, 1,280 pixels wide."""
     figure = figures.new_figure(figsize=(12.8, 7.2), layout="constrained")
-    PICTURES[title](figure)
+    sentence, fill = PICTURES[title]
+    fill(figure)
+    figure.supxlabel(sentence, size=20, style="italic")
     figure.suptitle(title, x=0.01, ha="left", size=24, weight="bold")
     return figure
 
@@ -248,6 +265,7 @@ def draw_pictures():
         PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
     ):
         (staging / "tour").mkdir()
+        tour_moving.write(staging / "tour")
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
             pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
