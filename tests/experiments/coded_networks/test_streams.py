@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.oracle.streams import TYPES, arrays_of
+from p4dgs_ref.oracle.streams import TYPES
 from tests.codec.models import flips, prefixes, refusal
+from tests.golden.decoded import arrays_of
 from tests.sampling import SEED
 from tutorials.experiments.coded_networks.file import decode, encode, quantised_of, read_container
 
