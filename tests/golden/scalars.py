@@ -60,6 +60,8 @@ def lens_vjp(downscale, **fields):
     are None. cx and cy count from the image's corner, `center` from the centre of its first pixel:
     c_x = cx / downscale - 1/2.
     """
+    if fields["fl_x"]:  # which wins; the loader refuses an angle that disagrees with it
+        fields["camera_angle_x"] = None
     distortion = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
     frame = SimpleNamespace(**fields, **distortion, camera_angle_y=None, where="lens")
     lens, picture = lens_of(frame, frame.w, frame.h), np.zeros((frame.h, frame.w, 3), np.float32)
