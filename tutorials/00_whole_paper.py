@@ -1055,7 +1055,7 @@ if SHOW:
     errors = np.abs(np.subtract(pictures, truths)).mean(axis=2)  # over the three colours
     strip("Absolute error: white is none, black is 0.25 or more", 1 - 4 * errors)
     _, axis = plt.subplots(figsize=(9, 3.5), dpi=100, layout="constrained")
-    axis.set(title=f"The file: {sum(map(len, file.values())):,} bytes", xlabel="bytes")
+    axis.set(title=f"The file: {sum(map(len, file.values())):,} bytes", xlabel="bytes", xmargin=0.1)
     axis.bar_label(axis.barh(list(file), [len(part) for part in file.values()]), padding=3)
     axis.invert_yaxis()
 

@@ -41,7 +41,7 @@ def few_views(scene):
 def empty_pictures(scene):
     """A warning of pictures that are blank."""
     views = [*scene.train, *scene.test]
-    empty = sum(np.ptp(view.image, axis=(0, 1)).max() <= DIFFERENCE for view in views)
+    empty = sum(np.ptp(view.image.T.copy(), axis=(1, 2)).max() <= DIFFERENCE for view in views)
     if not empty:
         return ""
     return (
