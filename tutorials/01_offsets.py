@@ -21,9 +21,8 @@ rng = np.random.default_rng(1)
 # %% [markdown]
 # ## What fails without it
 # A free Gaussian stores all of its 59 numbers itself, where it is, how large, how turned, how
-# opaque and how coloured, even if its neighbours lie on the same ball and look nearly the same.
-# Hundreds of thousands of them fill a real scene: the paper's scene T-Rex takes 56.7 MB in this way
-# (Table 3).
+# opaque and how coloured, even if its neighbours lie on the same ball and look nearly the same. A
+# scene needs hundreds of thousands of them: the paper's T-Rex takes 56.7 MB in this way (Table 3).
 #
 # The left side shows the trained scene of `demo.p4dgs` with three of its Gaussians in purple. They
 # belong to *anchor 29*, which we follow from the picture to its bytes through all tutorials, always
@@ -249,10 +248,11 @@ assert close(large, 100 * small)
 # %% [markdown]
 # ## What this idea buys
 # In the paper, anchors in place of free Gaussians take T-Rex from 56.7 to 7.27 MB, 87 percent less
-# (Table 3). Here they take the Gaussians from 198,400 to 29,403 bytes, 85 percent less, but the
-# file only from 2,212,079 to 1,946,560 bytes: the network that moves 800 Gaussians (Eq. (5)) has 2
-# MB on both sides, and T-Rex has some 220,000 Gaussians beside it (inferred from its bytes). Two of
-# our three seeds also lose their quality, because that large network did not learn to move.
+# (Table 3). Here they take the Gaussians from 198,400 bytes (in a .ply file, each has three unused
+# numbers besides its 59) to 29,403, 85 percent less, but the file only from 2,212,079 to 1,946,560
+# bytes: the network that moves 800 Gaussians (Eq. (5)) has 2 MB on both sides, and T-Rex has some
+# 220,000 Gaussians beside it (inferred from its bytes). Two of our three seeds also lose their
+# quality, because that large network did not learn to move.
 
 # %%
 from tutorials import gains

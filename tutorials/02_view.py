@@ -458,11 +458,11 @@ assert close(with_hypot[0, 0], 7e200)
 print("printed formula", printed, "| with hypot", with_hypot[0, 0])
 
 # %% [markdown]
-# The gradient of the direction has a weakness, too. Let $v_i$ be component $i$ of $d_{vc}$. If the
-# direction nearly follows axis $i$, then $v_i$ is almost 1, and $\bar v_i - v_i\,(v\cdot\bar v)$
-# subtracts two nearly equal numbers. The code avoids this by writing the first term as
-# $\bar v_i \sum_j v_j^2$, because the squares add up to 1:
-# $$\bar v_i - v_i\,(v\cdot\bar v) = \sum_j (\bar v_i\,v_j - v_i\,\bar v_j)\,v_j$$
+# The gradient of the direction has a weakness, too. Let $e_i$ be component $i$ of $e = d_{vc}$. If
+# the direction nearly follows axis $i$, then $e_i$ is almost 1, and
+# $\bar e_i - e_i\,(e\cdot\bar e)$ subtracts two nearly equal numbers. The code avoids this by
+# writing the first term as $\bar e_i \sum_j e_j^2$, because the squares add up to 1:
+# $$\bar e_i - e_i\,(e\cdot\bar e) = \sum_j (\bar e_i\,e_j - e_i\,\bar e_j)\,e_j$$
 # The two equal terms with $j = i$ now cancel exactly, before any rounding. The function
 # `numerics.perpendicular` computes this sum. The cell below compares both forms in single
 # precision.

@@ -376,8 +376,8 @@ assert abs(squared_error[0.25] / squared_error[0.125] - 4) < 0.05
 # ## What this idea buys
 # Quantisation and entropy coding take T-Rex from 5.39 to 0.85 MB, 84 percent less, for 0.1 dB
 # (Table 3). Here they take 76,590 to 38,649 bytes, for 0.4 dB: of the anchors' 29,551 bytes 4,569
-# are left, 85 percent less, but the networks stay what they are, numbers of 16 bits, and most of
-# the file.
+# are left, 85 percent less. But networks are most of the file, and they are not coded: they take
+# 45,366 bytes before, in float32 except $\psi_d$, and 33,652 afterwards, all in float16.
 
 # %%
 from tutorials import gains

@@ -260,9 +260,9 @@ lessons.show(figure, "08_step_seen")
 # %% [markdown]
 # ## What this idea buys
 # In the ablation, "one step" gives every anchor $q = Q_0$. With a step for each anchor, our files
-# have the same size and 0.35 dB more on `bouncing` (0.20, 0.50 and 0.35 dB with three seeds); on
-# the scene `figure` it makes no difference. The paper counts quantisation and entropy coding
-# together (`10_prior_and_likelihood`) and has no number for this part alone.
+# have nearly the same size and 0.35 dB more on `bouncing` (0.20, 0.50 and 0.35 dB with three
+# seeds); on the scene `figure` it makes no difference. The paper counts quantisation and entropy
+# coding together (`10_prior_and_likelihood`) and has no number for this part alone.
 
 # %%
 from tutorials import gains
@@ -425,7 +425,7 @@ ax.set(
     ylabel="relative error (1: no digit right)",
     title="The printed form loses every digit, the sigmoid form none",
 )
-ax.legend(fontsize=11, ncols=2)
+ax.legend(fontsize=11, loc=(0.02, 0.1))
 lessons.show(figure, "08_step_digits")
 
 # %% [markdown]

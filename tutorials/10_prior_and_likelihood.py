@@ -325,8 +325,8 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 # ## What this idea buys
 # Rounding and entropy coding come together in the paper's Table 3, the last of its three ideas:
 # T-Rex shrinks from 5.39 to 0.85 MB, 6.3 times. Here the anchors shrink from 29,551 to 4,569 bytes,
-# 6.5 times, but the file only from 76,590 to 38,649. The rest are networks, which this idea stores
-# as they are: they are 87 percent of our file, and a third of the paper's at its higher rate.
+# 6.5 times, but the file only from 76,590 to 38,649. The rest are networks, which are not coded,
+# at most rounded to float16: 87 percent of our file, and a third of the paper's at its higher rate.
 
 # %%
 from tutorials import gains

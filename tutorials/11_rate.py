@@ -219,7 +219,7 @@ assert not hash_gradients([theta], 1.0)[0].any()
 # The two panels on the left show the mean cost of a sign and the slope that all signs feel; they
 # have different units. The slope is infinite at both ends, so its axis is cut. The dot is the grid
 # of the demo's file. The panel on the right shows what anchor 29 adds to Eq. (13), number by
-# number: its share of the bytes in the file. The gap are the offsets of its masked child. With its
+# number: its share of the bytes in the file. The gap is where its masked child would be. With its
 # position, three times 16 bits, the anchor takes some 24 bytes.
 
 # %%

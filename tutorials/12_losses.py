@@ -142,10 +142,10 @@ lessons.show(figure, "12_losses_rate")
 # $$\mathcal{L}_{render} = (1-\lambda_{SSIM})\,\mathcal{L}_1
 # + \lambda_{SSIM}\,\mathcal{L}_{D-SSIM} \tag{16}$$
 # With $x$ for the rendered image and $y$ for the true one, $\mathcal{L}_1$ is the mean of $|x - y|$
-# over all pixels and channels. (silent: `Q13`) The paper does not define $\mathcal{L}_{D-SSIM}$.
-# This project uses $1 - \mathrm{SSIM}$ (choice `Q13`), like Gaussian splatting. SSIM compares local
-# means $\mu$, variances $\sigma^2$ and the covariance $\sigma_{xy}$, each computed with a Gaussian
-# window around every pixel:
+# over all pixels and channels. The paper does not define $\mathcal{L}_{D-SSIM}$. This project uses
+# $1 - \mathrm{SSIM}$ (choice `Q13`), like Gaussian splatting. SSIM compares local means $\mu$,
+# variances $\sigma^2$ and the covariance $\sigma_{xy}$, each computed with a Gaussian window around
+# every pixel:
 # $$\mathrm{SSIM} = \operatorname{mean}\frac{(2\mu_x\mu_y + C_1)(2\sigma_{xy} + C_2)}
 #   {(\mu_x^2 + \mu_y^2 + C_1)(\sigma_x^2 + \sigma_y^2 + C_2)},$$
 # where $C_1 = 0.01^2$ and $C_2 = 0.03^2$.
@@ -395,7 +395,8 @@ gains.show("12_losses", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")
 # **In short**
 # - Training minimises the loss of the pictures plus $\lambda_{rate}$ times the bits; each value of
 #   $\lambda_{rate}$ gives another file.
-# - At the best point, one bit more would improve the picture by exactly $\lambda_{rate}$.
+# - At the best point, one bit more per parameter would improve $\mathcal{L}_{render}$ by exactly
+#   $\lambda_{rate}$.
 # - The loss of a picture is 0.8 times the mean absolute difference plus 0.2 times $1-$SSIM.
 #
 # **Often misunderstood**

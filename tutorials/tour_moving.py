@@ -30,7 +30,7 @@ def bin_under_bell(bell, counter, place, places):
     density = np.exp(-((x / SIGMA) ** 2) / 2)
     bell.plot(x, density, color=show.CONTEXT)
     bell.fill_between(x[inside], density[inside], color=show.OWN)
-    bell.set(title=f"bin: {mass[-1]:.1%} of the bell", xlabel="number (steps)", yticks=())
+    bell.set(title=f"bin: {mass[-1]:.2%} of the bell", xlabel="number (steps)", yticks=())
     counter.plot(so_far, -np.log2(mass), ".-", color=show.OWN)
     counter.set(title=f"it costs {-np.log2(mass[-1]):.1f} bits", xlim=(-8, 8), ylim=(0, 14))
 
