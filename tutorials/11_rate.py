@@ -26,7 +26,7 @@ rng = np.random.default_rng(11)
 # A picture does not say what it cost, so a training that sees pictures alone spends bits wherever
 # this helps at all. Only a sum of all bits, whose gradient reaches every number, makes it save.
 #
-# Both files below come from the same training of `bouncing`, one of them without the rate. Its
+# Both files below were trained on `bouncing` in the same way, one of them without the rate. Its
 # numbers and signs take 3.5 times as many bytes, for 0.2 dB on the test views.
 
 # %%

@@ -29,7 +29,7 @@ rng = np.random.default_rng(12)
 # Training on pictures alone makes them good at any price: nothing says when a bit is not worth its
 # while. Training on the size of the file alone would make an empty file.
 #
-# The three files below come from the same training, with three prices of a bit: none, that of the
+# The three files below were trained in the same way, with three prices of a bit: none, that of the
 # demo, and a hundred times as much. The PSNR is that of this view.
 
 # %%

@@ -487,7 +487,7 @@ function command(line) {
 
 /** What the driver compares with: pictures of the test views, and other files. */
 function checks() {
-  command(`render ${DEMO} --scene bouncing --settings exact -o ${at("views")}`);
+  command(`render ${DEMO} --scene bouncing -o ${at("views")}`);
   command(`train bouncing --preset smoke --set anchors=5000 --quiet --yes -o ${at("large")}`);
   command(`encode ${at("large")} -o ${at("large.p4dgs")}`);
   command(`view ${at("large.p4dgs")} -o ${at("large.html")}`);
