@@ -430,8 +430,8 @@ print(f"ten numbers for 20,000 Gaussians at 100 times would take {2 * 10 * 20_00
 # ## What this idea buys
 # Without $\psi_d$, trainings of `bouncing` give 24,934 bytes and 19.6 to 20.3 dB, with it 38,649
 # bytes and 33.5 to 34.2 dB: a third of the file is motion, and without it the balls are a smear. In
-# the paper it is half of T-Rex at low rate. Our share is not much smaller, because our field is
-# small (13,446 bytes), but so is our scene.
+# the paper it is half of T-Rex at low rate. Our share is not much smaller: our field is small
+# (13,446 bytes), and so is our scene.
 
 # %%
 from tutorials import gains
