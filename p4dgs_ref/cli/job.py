@@ -116,8 +116,8 @@ def train(arguments):
         estimate(arguments, scene, preset)
         if "effects" not in read_scene_json(scene.source):
             print_warning(
-                f"no scene.json lists effects: all are trained; `p4dgs-ref effects {scene.source}"
-                f" --suggest --apply --downscale {arguments.downscale}` finds and lists them"
+                f"no scene.json lists effects; `p4dgs-ref effects {scene.source} --suggest --apply "
+                f"--downscale {arguments.downscale}` finds and lists those that the pictures show"
             )
     for sentence in advice.before(scene, preset, arguments.seed):
         print_warning(sentence)

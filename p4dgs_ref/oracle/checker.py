@@ -58,7 +58,8 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
     which the inputs are given. `strict` fails what is acceptable because the printed formula is no
-    better. Raises KeyError where `key` is no subject and no case.
+    better. Raises KeyError where `key` is no subject and no case, and ValueError where `dtype` is
+    neither float64 nor float32.
     """
     port = FunctionPort(forward, vjp, dtype)
     return Report(check_subject(published.cases(key), port, strict), {}, port.dtype.name, strict)

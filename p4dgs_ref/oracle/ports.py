@@ -9,7 +9,7 @@ import numpy as np
 
 from ..limits import cut
 from . import safetensors
-from .compare import cast, differences, expected, precision
+from .compare import PRECISIONS, cast, differences, expected, precision
 from .published import flatten, meant, stream_rows, subjects
 from .safetensors import require
 
@@ -112,6 +112,8 @@ class FunctionPort:
 
     def __init__(self, forward, vjp=None, dtype="float64"):
         self.forward, self.vjp, self.dtype = forward, vjp, np.dtype(dtype)
+        if self.dtype.name not in PRECISIONS:
+            raise ValueError(f"dtype {dtype}: expected {' or '.join(PRECISIONS)}")
         self.asked = ROLES if vjp else ROLES[:1]
 
     @np.errstate(over="ignore")  # beyond float32: infinite, as in every port

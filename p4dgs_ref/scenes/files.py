@@ -115,13 +115,14 @@ def make_view(name, image, lens, R, T, time, color, downscale, where):
             "in the partly transparent pixels of a picture no colour exceeds alpha, as if it were "
             "multiplied by it; expected straight alpha"
         )
-    # before the averaging, so that every colour is weighted by its alpha
-    pixels, alpha = over_background(straighten(image, *lens), color)
-    pixels = box_filter(pixels, downscale)
+    # over the colour first: where pixels are mixed, every colour is weighted by its alpha
+    pixels, alpha = (
+        part if part is None else box_filter(straighten(part, *lens), downscale)
+        for part in over_background(image, color)
+    )
     require(pixels.size, where, f"{size_of(image)} pixels; expected at least downscale {downscale}")
     focal, middle = (lengths / downscale for lengths in lens[:2])
     camera = Camera(R, T, *focal.tolist(), *(middle - 0.5).tolist(), *pixels.shape[1::-1])  # Q20
-    alpha = None if alpha is None else box_filter(alpha, downscale)
     return View(name, pixels, alpha, camera, time)
 
 
@@ -134,13 +135,13 @@ def warn_once(text):
 def premultiplied(image):
     """Whether no colour exceeds alpha in partly transparent pixels, of which there are many."""
     alpha = image[..., -1]
-    partly = (alpha > 0.1) & (alpha < 0.9) & (image.shape[2] == 4)
+    partly = (abs(alpha - 0.5) < 0.4) & (image.shape[2] == 4)
     return partly.sum() >= 100 and (image[partly].max(1) <= alpha[partly] + 1 / 255).all()
 
 
 def straighten(image, focal, middle, k, p):
-    """A picture as the lens would show it without distortion."""
-    if not (k.any() or p.any()):
+    """A picture [H, W] or [H, W, C] as the lens would show it without distortion."""
+    if not np.any([*k, *p]):
         return image
     from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
 
@@ -150,13 +151,15 @@ def straighten(image, focal, middle, k, p):
     bent = yx * np.polyval((*k[::-1], 1), r2)
     bent += 2 * p * yx.prod(axis=0) + p[::-1] * (r2 + 2 * yx * yx)
     seen = bent * focal + middle - 0.5
-    channels = np.moveaxis(image, -1, 0)
-    return np.dstack([map_coordinates(c, seen, order=1, mode="nearest") for c in channels])
+    channels = np.moveaxis(np.atleast_3d(image), -1, 0)
+    return np.dstack(
+        [map_coordinates(c, seen, order=1, mode="nearest") for c in channels]
+    ).reshape(image.shape)
 
 
 def box_filter(image, s):
     """The means over boxes of s by s pixels; what is left at the right and below is cut off."""
-    height, width = image.shape[0] // s, image.shape[1] // s
+    height, width = (side // s for side in image.shape[:2])
     boxes = image[: height * s, : width * s].reshape(height, s, width, s, *image.shape[2:])
     return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
 

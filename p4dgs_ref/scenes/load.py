@@ -48,8 +48,9 @@ def load_scene(
 
 def is_hypernerf(folder):
     """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
-    is_dnerf = os.path.lexists(folder / "transforms_train.json")
-    return not is_dnerf and os.path.lexists(folder / hypernerf.SPLITS)
+    return not os.path.lexists(folder / "transforms_train.json") and os.path.lexists(
+        folder / hypernerf.SPLITS
+    )
 
 
 def read_points_for(scene, path):

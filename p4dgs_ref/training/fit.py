@@ -136,7 +136,7 @@ def identity(trainer):
         "background": trainer.scene.background.tolist(),
         "settings": trainer.settings,
         "scene": fingerprint(trainer.scene.train),
-        "points": crc32(np.array(trainer.points, float)),  # of NaN without points
+        "points": crc32(np.ascontiguousarray(trainer.points, float)),  # of NaN without points
     }
 
 

@@ -262,6 +262,8 @@ def test_the_precision_is_said_and_a_case_may_be_alone():
     assert alone.ok and [r.id for r in alone.results] == ["offsets/ordinary"]
     with pytest.raises(KeyError, match="did you mean 'offsets/ordinary'"):
         oracle.check(x_of, "offsets/ordinari")
+    with pytest.raises(ValueError, match="dtype float16: expected float64 or float32"):
+        oracle.check(x_of, "offsets", dtype="float16")
     unasked = oracle.check(lambda x_a, x_c: 1 / 0, "view/far", dtype="float32").results
     assert [r.verdict for r in unasked] == ["unasked"]
 

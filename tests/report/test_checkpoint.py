@@ -210,7 +210,7 @@ def test_the_folder_of_another_training_is_refused(copied, run):
         ((run[1], "smoke", 1), {}, "seed"),
         ((run[1], "smoke", 0), {"lr_f": (0.1, 0.1)}, "preset.lr_f"),
         ((run[1], "smoke", 0, EXACT), {}, "settings"),
-        ((run[1], "smoke", 0, FAST, np.zeros((9, 3))), {}, "points"),
+        ((run[1], "smoke", 0, FAST, np.zeros((3, 9)).T), {}, "points"),  # column by column
         ((replace(run[1], points=np.ones((9, 3))), "smoke", 0), {}, "points"),
     ):
         with pytest.raises(RunError, match=f"field '{field}'"):

@@ -108,6 +108,19 @@ def test_the_lens_of_a_capture_is_straightened(toy):
         assert psnr(view.image[inside], straight()[inside]) > 40
 
 
+def test_a_cut_out_body_keeps_its_colour_where_a_lens_is_straightened(tmp_path):
+    """The colour of transparent pixels, here black, is not mixed into the edge."""
+    picture = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    picture[:, : WIDTH // 2] = 255, 0, 0, 255
+    folder = capture(tmp_path / "cut_out", as_bytes(straight()), 2, **LENS)
+    for file in (folder / "images").iterdir():
+        file.write_bytes(iio.imwrite("<bytes>", picture, extension=".png"))
+    view = read(folder)[0].train[0]
+    assert np.any((view.alpha > 0.2) & (view.alpha < 0.8))
+    np.testing.assert_allclose(view.image[..., 0], 1, atol=1e-6)  # red, over white
+    np.testing.assert_allclose(view.image[..., 1], 1 - view.alpha, atol=1e-6)
+
+
 def test_sizes_that_downscale_does_not_divide_are_cropped(toy):
     """Less than N pixels go, and a point in the world stays where the picture shows it."""
     full, small = (read(toy, downscale=n)[0].train[3] for n in (1, 7))

@@ -74,6 +74,16 @@ def test_starting_points_that_training_cannot_use_are_counted(points, extent, wo
     assert advice.odd_points(scene(30), preset, 0, points) == told
 
 
+def test_points_that_a_camera_sees_are_not_projected_again(monkeypatch):
+    """100,000 points in 48 views would take a quarter of a minute before the first step."""
+    project, rows = advice.render.project, []
+    monkeypatch.setattr(
+        advice.render, "project", lambda x, *rest: rows.append(len(x)) or project(x, *rest)
+    )
+    assert not advice.odd_points(scene(30), TINY, 0, CLOUD)
+    assert len(rows) == 30 and sum(rows) < 2 * len(CLOUD)
+
+
 @pytest.mark.parametrize("shift, is_told", [(0.9, False), (1.1, True)])
 def test_cameras_that_look_past_the_starting_points_are_told_of_with_both_numbers(shift, is_told):
     """The cameras look at a place `shift` from the middle of points that reach as far as 1."""
