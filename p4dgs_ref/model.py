@@ -314,7 +314,7 @@ class Model:
         Raises ValueError for NaN.
         """
         if t is not None and not np.isfinite(t):
-            raise ValueError(f"t: expected a time in [0, 1], got {t}")
+            raise ValueError(f"t: expected a number, got {t}")
         x_c = np.asarray(camera.center, self.anchors.x_a.dtype)
         return predict(self.design, self.networks, self.anchors, x_c, t)[0]
 

@@ -119,7 +119,8 @@ assert np.array_equal(x[0, 0], by_hand)
 # The next cell applies this line to the trained anchors. Anchor 29 sits on the highlight of the red
 # ball, and its children lie around it. A fourth one is not drawn, which is the subject of
 # `03_opacity_and_masking`. The picture shows the *canonical* scene, which has no time yet.
-# [See it move](viewer/demo.html#step=2): the viewer draws the children of each anchor of the demo.
+# [See it move](viewer/demo.html#step=children): the viewer draws the children of each anchor of the
+# demo.
 
 # %%
 anchors = model.anchors

@@ -109,7 +109,8 @@ assert not no_direction.any()
 # place, but its distance and direction change, and with them the colours that the network $\psi_c$
 # gives to its three children: the middle one is bright red where the highlight is seen and dark on
 # the other side. The file stores these children once, for all cameras.
-# [See it move](viewer/demo.html#step=3): colours follow the direction while the camera turns.
+# [See it move](viewer/demo.html#step=prediction): colours follow the direction while the camera
+# turns.
 
 # %%
 from p4dgs_ref.scenes import simulator

@@ -281,8 +281,8 @@ assert abs(bar @ r / n[0]) > 0.1
 # The file contains no colour, rotation or scale of any Gaussian, because the anchor's feature and
 # the three numbers $s_a$ determine them all. A Gaussian written out has 14 numbers, without view
 # dependence: position, scale, rotation, opacity and colour. The cell compares ten Gaussians with
-# one anchor of ten children, in the paper's sizes. [See it move](viewer/demo.html#step=3): one
-# anchor's feature, and the children that the networks make of it.
+# one anchor of ten children, in the paper's sizes. [See it move](viewer/demo.html#step=prediction):
+# one anchor's feature, and the children that the networks make of it.
 
 # %%
 d, k = 16, 10

@@ -198,7 +198,7 @@ assert close(np.concatenate(deltas, axis=1), printed)
 # The next figure follows anchor 29, whose ball bounces once. Its left side is the path of its
 # children in the trained scene. The right side fits the height of one of them by least squares, as
 # a linear combination of the columns of $\mathcal{E}(t)$ and a constant. The number $t$ alone gives
-# a straight line, and every wave comes closer. [See it move](viewer/demo.html#step=4).
+# a straight line, and every wave comes closer. [See it move](viewer/demo.html#step=time).
 
 # %%
 time = np.linspace(0, 1, 101)

@@ -214,7 +214,8 @@ print(f"longest axis after a quarter turn: {right[-1]:.2f}, not normalised {infl
 # This is inter prediction: the canonical Gaussians are the reference frame and $\Delta x$ is the
 # motion vector. Unlike in a video codec, no residual follows, so whatever $\psi_d$ cannot express
 # is not shown. One more frame costs no byte. What costs bytes is each head of $\psi_d$.
-# [See it move](viewer/demo.html#step=4): the paths of the demo's Gaussians, and where they begin.
+# [See it move](viewer/demo.html#step=time): the paths of the demo's Gaussians, and where they
+# begin.
 
 # %%
 from p4dgs_ref import PRESETS, effects

@@ -219,7 +219,7 @@ lessons.caught(half_argument, "step", "2 psi_q")
 # looks, but the loss rewards it. The cell counts in how many of the 48 training pictures an anchor
 # is seen: in those in which its Gaussians fill more than a quarter of a pixel. How many pixels a
 # Gaussian fills is the gradient of the sum of all pixels with respect to its colour.
-# [See it move](viewer/demo.html#step=5): the demo with coarser and coarser steps.
+# [See it move](viewer/demo.html#step=steps): the demo with coarser and coarser steps.
 
 # %%
 from scipy.stats import spearmanr

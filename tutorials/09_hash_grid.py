@@ -302,7 +302,7 @@ assert "hash_index/paper_3d" not in [r.id for r in report.results if r.verdict =
 # CABAC, the entropy coder of video standards, also takes its context from what encoder and decoder
 # both know. Here the context is learned and sent, so it must be cheap. A sign costs at most one
 # bit. Grids of HAC's sizes have 1,766,224 signs, which is 0.21 MiB. Stored as `float32`, they would
-# take 32 times as much. [See it move](viewer/demo.html#step=6): the signs of the demo's grid.
+# take 32 times as much. [See it move](viewer/demo.html#step=context): the signs of the demo's grid.
 
 # %%
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC

@@ -304,7 +304,8 @@ assert no_pull == 0
 # and $p$ becomes a count out of $2^{24}$. For $\mu = 0.3q$ and $\sigma = 1.5q$, the symbol $0$
 # costs 1.947 bits in the file. Eq. (11) gives 1.965. The difference comes from rounding the two
 # parameters: with their rounded values, $0.3125$ and $2^{9/16}$, Eq. (11) gives 1.947 as well.
-# [See it move](viewer/demo.html#step=6): the distributions that the decoder predicts for an anchor.
+# [See it move](viewer/demo.html#step=context): the distributions that the decoder predicts for an
+# anchor.
 
 # %%
 from p4dgs_ref.codec.gaussian_table import gaussian_model

@@ -282,7 +282,7 @@ with np.errstate(invalid="ignore"):
 # The rate is an estimate; what counts is the file. In the demo's file, each section is 5 to 13
 # bytes longer than the equations say, because of the last state of the coder, a short header and
 # the rounding to whole bytes. Positions, masks and networks are in no equation. [See it
-# move](viewer/demo.html#step=7): the bits of each anchor in colour, and what fewer would cost.
+# move](viewer/demo.html#step=bits): the bits of each anchor in colour, and what fewer would cost.
 
 # %%
 for section in ledger(tour.DATA):

@@ -358,7 +358,7 @@ assert opened > tried / 2
 # sets first, then coded symbols. In the trained model, the four sections that prediction and
 # context modelling act on have 748 of 9730 bytes, and most of the rest are networks. The scenes
 # of the paper have many more anchors, so their attributes weigh more and the frame hardly counts.
-# [See it move](viewer/demo.html#step=7): the demo's file as a strip of bytes.
+# [See it move](viewer/demo.html#step=bits): the demo's file as a strip of bytes.
 
 # %%
 sizes = dict(container.layout(golden))

@@ -344,7 +344,7 @@ assert 3.5 < crossings < 4.5
 # tolerance, and pictures drifted apart; `H.264` specifies it in integers. `codec/context.py` does
 # the same for everything between positions and tables. Sums of integers below $2^{53}$ are exact
 # in a double, in any order and with any library. Below, 20 random orders of summation give
-# identical sums. [Break it yourself](viewer/demo.html#step=8): a file with one weight changed.
+# identical sums. [Break it yourself](viewer/demo.html#step=break): a file with one weight changed.
 
 # %%
 rng = np.random.default_rng(21)

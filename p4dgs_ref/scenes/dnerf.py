@@ -58,7 +58,7 @@ def off(value):
     """Whether a field changes nothing: 0, false, null, empty, all zeros or an identity matrix."""
     with suppress(ValueError, TypeError, OverflowError):  # texts, objects, integers of 400 digits
         entries = np.array(value or 0, float)
-        # For a matrix the 0 means the main diagonal, for a list no columns: no square of its length.
+        # For a matrix this is eye(n, m, 0); for a list it is eye(n, 0), which is empty, not n x n.
         return not entries.any() or np.array_equal(entries, np.eye(*entries.shape, 0))
     return False
 

@@ -152,9 +152,9 @@ def straighten(image, focal, middle, k, p):
     bent += 2 * p * yx.prod(axis=0) + p[::-1] * (r2 + 2 * yx * yx)
     seen = bent * focal + middle - 0.5
     channels = np.moveaxis(np.atleast_3d(image), -1, 0)
-    return np.dstack(
-        [map_coordinates(c, seen, order=1, mode="nearest") for c in channels]
-    ).reshape(image.shape)
+    return np.dstack([map_coordinates(c, seen, order=1, mode="nearest") for c in channels]).reshape(
+        image.shape
+    )
 
 
 def box_filter(image, s):

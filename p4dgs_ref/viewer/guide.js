@@ -158,9 +158,7 @@
     }
     const { step: asked = STEPS[0] } = fields;
     const isExploring = asked === EXPLORE;
-    // Links in the tutorials have numbers, from before the guide had all its steps.
-    const isMeant = (name) => [name, articles.get(name).dataset.number].includes(asked);
-    enter(isExploring ? EXPLORE : (STEPS.find(isMeant) ?? STEPS[0]));
+    enter(isExploring || STEPS.includes(asked) ? asked : STEPS[0]);
     if (isExploring) page.arrange({ playing: !isStill() });
     const [azimuth, elevation, ...far] = numbers("camera");
     const [distance, ...shift] = far.map((v) => v * page.homeDistance(state.model));

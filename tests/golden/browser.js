@@ -255,7 +255,7 @@ async function links(browser) {
       step: document.body.dataset.step, t: $("time").value, azimuth, name, playing,
       shift: shift[2] / page.homeDistance(model) }))(page.state)`);
   };
-  const found = await seen("#step=4&camera=100,-10,0.5,0,0,0.25&t=0.75");
+  const found = await seen("#step=time&camera=100,-10,0.5,0,0,0.25&t=0.75");
   const wanted = { step: "time", t: "0.75", azimuth: 100, name: "demo.p4dgs", playing: false };
   for (const [key, value] of Object.entries(wanted)) {
     check(`a link: ${key} is ${found[key]}`, found[key] === value);
@@ -274,7 +274,7 @@ async function links(browser) {
   const page = readFileSync(join(ROOT, "tutorials", "viewer", "demo.html"), "utf8");
   const filled = (text) => `id="files">${JSON.stringify(text)}</script>`;
   writeFileSync(at("two.html"), page.replace(/id="files">.*<\/script>/, filled(held)));
-  const other = await seen("#step=2&file=2", String(pathToFileURL(at("two.html"))));
+  const other = await seen("#step=children&file=2", String(pathToFileURL(at("two.html"))));
   const color = "[...document.querySelectorAll('[data-link]'), document.body].map(colorOf)";
   const colors = await evaluate(`(colorOf => ${color})((one) => getComputedStyle(one).color)`);
   check(`dead links have the colours ${colors}`, new Set(colors).size === 1);
@@ -378,7 +378,7 @@ async function hands(browser) {
 async function slowness(browser) {
   const { evaluate } = browser;
   await window(browser, SIZES[0]);
-  await show(browser, `${ours("demo.html")}#step=2`, 512);
+  await show(browser, `${ours("demo.html")}#step=children`, 512);
   check("no worker decodes", (await evaluate("workers")) === 1);
   await until(browser, "/ 512 px/.test($('corner').textContent)", "not all pixels at rest");
   await evaluate(`document.addEventListener("painted", () => (page.state.spent = 99));

@@ -206,7 +206,7 @@ def test_points_beyond_what_a_file_holds_are_refused_in_one_line(scene, monkeypa
 @pytest.mark.parametrize("t", [np.nan, np.inf])
 def test_a_time_that_is_not_finite_is_refused(trained, t):
     camera = trained.scene.test[0].camera
-    with pytest.raises(ValueError, match=r"^t: expected a time in \[0, 1\], got (nan|inf)$"):
+    with pytest.raises(ValueError, match=r"^t: expected a number, got (nan|inf)$"):
         trained.model.render(camera, t)
 
 
