@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import decode, encode
-from p4dgs_ref.training.presets import choose
+from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.trainer import Trainer
 
 from .. import baselines
@@ -36,8 +36,11 @@ def lasting(preset, iterations):
 
 
 def preset_of(task):
-    """The preset `tiny` with the changes of a Task and its iterations."""
-    return lasting(choose("tiny", task.changes), task.iterations)
+    """The preset `tiny` with the changes of a Task and its iterations.
+
+    They are not checked: a training without the rate has steps that no file could hold.
+    """
+    return lasting(replace(TINY, **task.changes), task.iterations)
 
 
 def make(task, path, source=None):
