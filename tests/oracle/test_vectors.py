@@ -21,12 +21,6 @@ MEASURED = ("files", "generator")
 ULPS, ULPS_ELSEWHERE = (7, 15), (16, 64)
 
 
-@pytest.fixture(scope="module")
-def regenerated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("regenerated")
-    return vectors.write(folder), folder
-
-
 def described(manifest):
     """The manifest without what is measured, and without the places of tensors."""
     rows = []
@@ -41,14 +35,16 @@ def described(manifest):
 
 
 @pytest.mark.slow
-def test_regenerated_vectors_are_the_published_ones(regenerated):
+def test_regenerated_vectors_and_their_manifest_are_the_published_ones(tmp_path):
     """Integers are equal, floats within a few eps S, scales within a factor of two.
 
-    Inputs may differ too, because LAPACK's other kernels round in another way.
+    Inputs may differ too, because LAPACK's other kernels round in another way. It is one test,
+    because all vectors are computed anew, which takes minutes.
     """
     here = demo.with_what() == demo.kept()["arithmetic"]
     usual, after_steps = ULPS if here else ULPS_ELSEWHERE
-    manifest, folder = regenerated
+    manifest, folder = vectors.write(tmp_path), tmp_path
+    assert described(published.read_manifest(folder)) == described(published.read_manifest())
     assert (folder / "FLAGS.json").read_bytes() == (published.FOLDER / "FLAGS.json").read_bytes()
     for subject in manifest["subjects"]:
         ulps = after_steps if subject["level"] == "L4" else usual
@@ -66,12 +62,6 @@ def test_regenerated_vectors_are_the_published_ones(regenerated):
                     assert scaled[~missing].max(initial=0) <= ulps, what
                 else:
                     assert np.array_equal(a, b), what
-
-
-@pytest.mark.slow
-def test_the_regenerated_manifest_is_the_published_one(regenerated):
-    manifest, folder = regenerated
-    assert described(published.read_manifest(folder)) == described(published.read_manifest())
 
 
 def test_adding_cases_leaves_the_published_ones_as_they_are(monkeypatch):
