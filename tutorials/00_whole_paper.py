@@ -21,7 +21,7 @@
 #     positions -> grid -> steps and probabilities -> bits -> L_rate        Eqs. (7) to (14), (17)
 #     L_total = L_render + lambda_rate L_rate                               Eq. (15)
 #
-# `python tutorials/00_whole_paper.py` takes 15 to 25 seconds and puts its pictures on one page;
+# `python tutorials/00_whole_paper.py` takes 20 to 45 seconds and puts its pictures on one page;
 # `--check` compares gradients with finite differences, `--table` makes the table at the end anew.
 #
 # **How to read it.** Each equation with a gradient is a function that returns its result and its
