@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from p4dgs_ref.output import OutputError
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, simulate, trace
-from p4dgs_ref.scenes.simulator.bodies import box_hit, capsule_hit, poses
+from p4dgs_ref.scenes.simulator.bodies import ball_hit, box_hit, capsule_hit, capsule_normal, poses
 from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.splatting.camera import look_at
 from tests.scenes.refusals import refuse
@@ -297,3 +298,13 @@ def test_descriptions_in_files(tmp_path):
     taken.write_text("", encoding="utf-8")
     with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
         simulate(file, taken)
+
+
+def test_a_capsule_without_a_length_is_a_ball():
+    point, away = np.array([0.1, 0.2, 0.3]), np.array([[0.0, 0.0, 1.0], [0.3, 0.1, 0.9]])
+    capsule = SimpleNamespace(start=point, end=point, radius=0.5)
+    eye = np.array([0.0, 0.0, -4.0])
+    hit = capsule_hit(capsule, eye, away)
+    assert np.allclose(hit, ball_hit(eye, away, point, 0.5))
+    place = eye + hit[:1, None] * away[:1]
+    assert np.allclose(capsule_normal(capsule, place), (place - point) / 0.5)

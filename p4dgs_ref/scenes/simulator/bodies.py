@@ -65,8 +65,9 @@ def box_normal(shape, p):
 
 def capsule_hit(shape, o, d):
     """A capsule is the side of a cylinder and two balls; the first of the three counts."""
-    length = np.linalg.norm(shape.end - shape.start)
-    axis = (shape.end - shape.start) / length
+    segment = shape.end - shape.start
+    length = np.linalg.norm(segment) + 1e-150  # without a length it is a ball
+    axis = segment / length
     m = o - shape.start
     m_along, d_along = m @ axis, d @ axis
     m_across, d_across = m - m_along * axis, d - d_along[:, None] * axis
@@ -82,7 +83,7 @@ def capsule_hit(shape, o, d):
 def capsule_normal(shape, p):
     """Away from the nearest point of the segment."""
     segment = shape.end - shape.start
-    along = np.clip((p - shape.start) @ segment / (segment @ segment), 0, 1)
+    along = np.clip((p - shape.start) @ segment / (segment @ segment + 1e-300), 0, 1)
     return (p - shape.start - along[:, None] * segment) / shape.radius
 
 
