@@ -74,7 +74,8 @@ def show(arguments, value, text):
 def ask(arguments, what, seconds, free=0):
     """Say how long trainings take, and go on only if the user wants it; --yes does.
 
-    Those that take less than `free` seconds are not asked about, those of a minute not told of.
+    Trainings of less than `free` seconds start without a question; of these, the estimate is shown
+    for those of more than a minute.
     """
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
