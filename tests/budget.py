@@ -29,6 +29,7 @@ def parse(file):
         gc.enable()
 
 
+@cache
 def tokens(file):
     """The number of tokens of a file."""
     holders = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)

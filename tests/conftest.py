@@ -73,6 +73,12 @@ def trained():
     return SimpleNamespace(scene=scene, trainer=trainer, model=model, data=data)
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures are made, but to draw one takes a second: their files are empty here."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **how: None)
+
+
 @pytest.fixture(scope="session")
 def right_reference():
     """Skip a test that changes code and asks where, if the unchanged code is wrong already.

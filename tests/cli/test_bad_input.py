@@ -204,7 +204,7 @@ SCENES = [
 ]
 
 
-@pytest.mark.parametrize("name, mistake, words", SCENES, ids=[case[0] for case in SCENES])
+@pytest.mark.parametrize("name, mistake, words", few(SCENES, 12), ids=[case[0] for case in SCENES])
 def test_mistakes_in_scenes(place, refused, name, mistake, words):
     mistake(place)
     for line in READING:
@@ -362,7 +362,9 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize("line, words", LINES, ids=[line or "nothing" for line, _ in LINES])
+@pytest.mark.parametrize(
+    "line, words", few(LINES, 60), ids=[line or "nothing" for line, _ in LINES]
+)
 def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
     monkeypatch.chdir(original)  # not a copy: nothing is written
     refused(line, words)
@@ -495,6 +497,7 @@ def test_a_folder_of_another_training_is_refused_before_any_work(place, run, mon
     assert code == 2 and "run/checkpoint.npz: exists; --resume" in err and err.count("\n") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):
     shutil.copytree("scene", "listed")
     Path("listed/scene.json").write_text('{"effects": []}', encoding="utf-8")
@@ -578,7 +581,7 @@ FULL = {
 }
 
 
-@pytest.mark.parametrize("line", FULL)
+@pytest.mark.parametrize("line", few(FULL, 4))
 def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
     monkeypatch.chdir(original)
     ignored = []  # what files say that are dropped before they are closed
@@ -602,9 +605,9 @@ def test_names_reach_the_terminal_without_their_control_characters(place, run):
     (place / "scene").rename(place / odd)
     (place / "good.p4dgs").rename(place / "g\x1b[2J")
     for line in (
-        f"train '{odd}' -o 'r\x1b[2J' --preset smoke",
+        f"train '{odd}' -o 'r\x1b[2J' --preset smoke --set stage_ends=1,2,3,5",
         f"evaluate 'g\x1b[2J' '{odd}' -o 'r\x1b[2J'",
-        f"demo '{odd}' -o 'r\x1b[2J' --preset smoke --quiet",
+        f"demo '{odd}' -o 'r\x1b[2J' --preset smoke --quiet --set stage_ends=1,2,3,5",
         "encode run -o 'r\x1b[2J/x\x1b[2J'",
         "render 'g\x1b[2J' -o 'r\x1b[2J/new' --frames 1 --size 4",
     ):

@@ -7,7 +7,7 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.lab.writer import read_csv
-from tests.sampling import SEED
+from tests.sampling import SEED, turn
 from tutorials.experiments import RECORDS
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.tables import ablate
@@ -35,6 +35,7 @@ def test_a_record_has_all_rows_of_its_plan(name):
     assert [*rows_of(name)] == [task.key for task in PLANS[name]()]
 
 
+@turn("a row of a record")
 def test_one_row_of_a_record_is_made_again(tmp_path):
     """Another one each day. `P4DGS_TEST_SEED=20260131 pytest -m slow` makes that of a day."""
     pairs = [

@@ -20,6 +20,7 @@ from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
 from p4dgs_ref.training.trainer import Trainer, assemble
+from tests.sampling import turn
 
 EPS = np.finfo(float).eps
 VIEW = ("view_color", "view_geometry")
@@ -170,6 +171,7 @@ def test_silent_units_change_no_picture(name, monkeypatch):
 
 
 @pytest.mark.slow
+@turn("static scene")
 def test_static_needs_less_than_with_everything_on():
     """Bytes and quality of `static`, a tenth of a training, over two seeds."""
     scene, preset = load_scene("static"), trainings.reduced(TINY.iterations // 10)

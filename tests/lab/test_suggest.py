@@ -17,7 +17,7 @@ from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator import place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.training.presets import TINY
-from tests.sampling import of_the_day
+from tests.sampling import of_the_day, turn
 from tests.training.effect_scenes import described
 
 
@@ -173,6 +173,7 @@ JUDGED = [
 
 
 @pytest.mark.slow
+@turn("motion")
 @pytest.mark.parametrize("changes, said", of_the_day(JUDGED))
 def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
     """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
@@ -195,6 +196,7 @@ def folder(tmp_path):
 def run(monkeypatch):
     """The command line, in one process."""
     monkeypatch.setattr(commands, "JOBS", 1)
+    monkeypatch.setattr(suggest, "seconds_of", lambda *_: 60)
     return lambda line: cli.run(line.split(), 0.0)
 
 

@@ -25,7 +25,7 @@ def test_list():
 
 
 @pytest.mark.usefixtures("right_reference")
-@pytest.mark.parametrize("mistake", few(MISTAKES, 24), ids=lambda mistake: mistake.id)
+@pytest.mark.parametrize("mistake", few(MISTAKES, 16, 80), ids=lambda mistake: mistake.id)
 def test_a_known_mistake_is_noticed_and_explained(mistake):
     """What its definition answers agrees with the doctor's data of this mistake alone.
 

@@ -11,7 +11,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.training import advice
 from p4dgs_ref.training.fit import fit
-from tests.sampling import of_the_day
+from tests.sampling import of_the_day, turn
 
 THIN = Path(__file__).parent / "thin_scenes"
 # Scene: preset, least PSNR in dB, least SSIM, most bytes, of the paper's design and seed 0. Of
@@ -37,6 +37,7 @@ def test_a_preset_reaches_its_quality(name):
 
 
 @pytest.mark.slow
+@turn("thin rods")
 def test_thin_rods_over_a_slab_are_lost_with_a_warning(tmp_path):
     """L1 leads every pixel to its median over time, which is the slab behind the rods."""
     p4.simulate(THIN / "slab_and_rods.json", tmp_path / "rods")
@@ -46,6 +47,7 @@ def test_thin_rods_over_a_slab_are_lost_with_a_warning(tmp_path):
 
 
 @pytest.mark.slow
+@turn("a smooth orbit")
 def test_a_smooth_orbit_confounds_time_with_view():
     """`orbit` differs from `bouncing` in the training cameras only, and is clearly worse."""
     scores = {}

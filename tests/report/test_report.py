@@ -175,6 +175,7 @@ def test_a_view_of_another_camera_or_time_is_a_test_view(scene, recwarn):
         assert not trained_on(altered(scene, **dict.fromkeys(changes)))
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("dim, is_told", [(0.4, True), (0.0, False)])
 def test_training_views_that_are_far_better_than_test_views(scene, tmp_path, dim, is_told, recwarn):
     """Test pictures that are darker than what training saw."""
@@ -188,6 +189,7 @@ def test_training_views_that_are_far_better_than_test_views(scene, tmp_path, dim
     assert all(numbers in line for line in told)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_equal_images(tmp_path, recwarn):
     """A white scene and a threshold that keeps no Gaussian: the images are exact."""
     source = p4.load_scene("bouncing", downscale=4)
@@ -214,6 +216,7 @@ def test_equal_images(tmp_path, recwarn):
     assert {path.name for path in tmp_path.glob("*.png")} == PICTURES - {"motion.gif"}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("broken", few(["write_comparison", "write_motion", "write_training"], 1))
 def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
