@@ -30,6 +30,8 @@ from p4dgs_ref.training.presets import (
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
 from tests import processes
+from tests.golden import demo
+from tests.golden.proof import proof
 
 SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
@@ -161,6 +163,16 @@ def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
         "2 anchors  1 Gaussian  2000.0 ms/step\n"
     )
     assert trainer.history == [[1, 1, 0.5, pytest.approx(20), 3.25, 2, 1]]
+
+
+# --- all of it ---
+def test_sixty_steps_have_the_bytes_that_are_kept():
+    """Any other number in a preset, a step, the renderer or the codec leads to others."""
+    kept = demo.kept()
+    if demo.with_what() != kept["arithmetic"]:
+        pytest.skip(f"the steps had {kept['arithmetic']}; other last bits lead to other bytes")
+    made = proof()
+    assert made == {name: kept[name] for name in made} | {"arithmetic": made["arithmetic"]}
 
 
 # --- optimiser ---
