@@ -347,13 +347,8 @@ def of_one_equation():
 
 
 @pytest.mark.usefixtures("right_reference")
-def test_mutations_of_our_code(judge, hasty):
-    assert survey(judge, random.Random(SEED).sample(of_one_equation(), 8))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("right_reference")
-def test_more_mutations_of_our_code(judge):
-    sample = of_one_equation()
-    counts = survey(judge, sample if WHOLE else random.Random(SEED).sample(sample, 80))
-    assert counts.total() >= 40 and counts["silent"] > counts["explained"] > 0
+@pytest.mark.parametrize("count", [8, pytest.param(200 if WHOLE else 80, marks=pytest.mark.slow)])
+def test_mutations_of_our_code(judge, hasty, count):
+    counts = survey(judge, random.Random(SEED).sample(of_one_equation(), count))
+    assert counts.total() > count / 3
+    assert counts["silent"] > counts["explained"] > 0 or count == 8

@@ -59,7 +59,8 @@ POINTS = [
     (np.vstack([CLOUD, [[0, 1e5, 0]]]), 1, ["of 501", "1 more than 10 times as far"]),
     (np.vstack([CLOUD, OUTSIDE]), 1, ["of 600", "100 outside every training view"]),
     (np.vstack([CLOUD, BEFORE_A_LENS]), 1, ["of 600", "100 outside every training view"]),
-    (np.vstack([CLOUD, CLOUD[:9]]), 1, []),
+    (np.vstack([CLOUD, CLOUD[:55]]), 1, []),
+    (np.vstack([CLOUD, CLOUD[:56]]), 1, ["of 556", "56 sharing the voxel"]),
     (None, 1, []),
     (None, 1000, ["of 200 starting points", "outside every training view"]),
 ]
