@@ -60,7 +60,7 @@ SAID = {  # of a command that was stopped
 # Commands, and the file that is there when they are at work.
 LINES = {
     RUN: "run/checkpoint.npz",
-    "render {files}/bouncing.p4dgs -o out --frames 10000 --size 64": "out/.p4dgs-part-*/t_002.png",
+    "render {files}/bouncing.p4dgs -o out --frames 1000 --size 64": "out/.p4dgs-part-*/t_002.png",
     "demo bouncing -o out": "out/.p4dgs-part-*",
     "evaluate {files}/bouncing.p4dgs bouncing -o out": "out/.p4dgs-part-*",
     "accuracy -o out": "out/.p4dgs-part-*",

@@ -126,6 +126,7 @@ def test_the_error_on_a_trained_file_is_the_one_that_the_settings_state(file):
     model, view = p4.decode(file.read_bytes()), p4.load_scene("orbit").test[1]
     images = [model.render(view.camera, view.time, settings) for settings in (FAST, EXACT)]
     assert largest(*images) == pytest.approx(1.84e-4, abs=5e-6)
+    assert (FAST.cut, FAST.stop) == (5e-5, 1e-4)
 
 
 def test_equal_depths_stay_in_the_order_of_their_index():
