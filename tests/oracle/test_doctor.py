@@ -350,4 +350,5 @@ def of_one_equation():
 @pytest.mark.parametrize("count", [8, pytest.param(200 if WHOLE else 80, marks=pytest.mark.slow)])
 def test_mutations_of_our_code(judge, hasty, count):
     counts = survey(judge, random.Random(SEED).sample(of_one_equation(), count))
-    assert counts and (count == 8 or counts["silent"] > counts["explained"] > 0), counts
+    # Six of the 200 are known mistakes.
+    assert counts["silent"] > counts["explained"] >= (count == 200), counts
