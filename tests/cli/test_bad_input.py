@@ -204,7 +204,7 @@ SCENES = [
 ]
 
 
-@pytest.mark.parametrize("name, mistake, words", few(SCENES, 12), ids=[case[0] for case in SCENES])
+@pytest.mark.parametrize("name, mistake, words", few(SCENES, 8), ids=[case[0] for case in SCENES])
 def test_mistakes_in_scenes(place, refused, name, mistake, words):
     mistake(place)
     for line in READING:
@@ -363,7 +363,7 @@ LINES = [
 
 
 @pytest.mark.parametrize(
-    "line, words", few(LINES, 60), ids=[line or "nothing" for line, _ in LINES]
+    "line, words", few(LINES, 40), ids=[line or "nothing" for line, _ in LINES]
 )
 def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
     monkeypatch.chdir(original)  # not a copy: nothing is written
@@ -581,7 +581,7 @@ FULL = {
 }
 
 
-@pytest.mark.parametrize("line", few(FULL, 4))
+@pytest.mark.parametrize("line", few(FULL, 2))
 def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
     monkeypatch.chdir(original)
     ignored = []  # what files say that are dropped before they are closed

@@ -17,7 +17,7 @@ from p4dgs_ref.lab.accuracy import forms, formulas, picture, trainings
 from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
-from tests.sampling import of_the_day, turn
+from tests.sampling import few, of_the_day, turn
 from tests.tutorials import drawn
 
 TABLE = json.loads(
@@ -194,7 +194,7 @@ def test_training_anew_is_asked_for(tmp_path, quick, capsys):
     assert [row["choice"] for row in shown] == ["5", "4"] and shown[0]["loss"] == 0
 
 
-@pytest.mark.parametrize("answer, code", [("y\n", 0), ("n\n", 130), ("", 130)])
+@pytest.mark.parametrize("answer, code", few([("y\n", 0), ("n\n", 130), ("", 130)], 1))
 def test_a_terminal_is_asked(answer, code, tmp_path, quick, monkeypatch, capsys):
     class Terminal(io.StringIO):
         def isatty(self):

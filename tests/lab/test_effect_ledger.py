@@ -20,7 +20,7 @@ from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
 from p4dgs_ref.training.trainer import Trainer, assemble
-from tests.sampling import turn
+from tests.sampling import few, turn
 
 EPS = np.finfo(float).eps
 VIEW = ("view_color", "view_geometry")
@@ -38,7 +38,7 @@ def trained(name, *forced):
 
 
 # --- work and bytes ------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["static", "bouncing"])
+@pytest.mark.parametrize("name", few(["static", "bouncing"], 1))
 def test_only_listed_effects_take_work_and_bytes(name):
     scene = load_scene(name, downscale=4)
     result = effect_ledger.of_scene(scene)
@@ -140,7 +140,7 @@ def test_in_two_processes_trainings_are_the_same():
 
 
 # --- what is always zero -------------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["static", "figure"])
+@pytest.mark.parametrize("name", few(["static", "figure"], 1))
 def test_silent_units_change_no_picture(name, monkeypatch):
     """A model without the units that are always zero is the same function, and its file smaller."""
     trainer = trained(name, "occlusion")

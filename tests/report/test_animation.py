@@ -63,6 +63,7 @@ def test_no_frame_has_the_time_of_a_training_view(scene, description):
     assert not trained & {t for _, t in animation.views(description)}
 
 
+@pytest.mark.slow
 def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, committed):
     posed = animation.views(description)
     assert len(committed) == 2 * len(posed) - 2
@@ -75,6 +76,7 @@ def test_committed_animation_shows_the_truth_and_is_near_it(scene, description, 
         assert 27 < psnr(middle, true) < 30
 
 
+@pytest.mark.slow
 def test_the_same_model_gives_the_same_bytes(scene, tmp_path, monkeypatch):
     class Gray:
         """A model that draws the same gray everywhere."""

@@ -48,7 +48,7 @@ def weights_of(arrays, effect, d):
     )
 
 
-@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 9))
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 6))
 def test_off_is_absent_and_on_is_there(name, effect):
     for on in (False, True):
         trainer, data, calls = trained(name, effect, on)
@@ -136,7 +136,7 @@ def picture_and_gradients(p, design, view, background, bar):
     return image, gradients, g
 
 
-@pytest.mark.parametrize("name, effect", few([*product(SCENES, (*MOTION, *SEEN_BY))], 7))
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, (*MOTION, *SEEN_BY))], 5))
 def test_off_equals_the_neutral_input(name, effect):
     scene = small_scene(name)
     view = scene.train[5 + MODEL_EFFECTS.index(effect)]

@@ -152,6 +152,7 @@ def test_needles_have_all_their_digits(ratio):
         np.testing.assert_allclose(drawn, image.ravel(), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_pictures_and_bits_are_those_of_the_package():
     model, views = p4.decode(DEMO.read_bytes()), p4.load_scene("orbit").test[::3]
     asked = [{**described(view.camera), "t": view.time} for view in views]
@@ -172,6 +173,7 @@ def test_pictures_and_bits_are_those_of_the_package():
         assert abs(said["coarse"][name] - sizes[name]) <= 3, name
 
 
+@pytest.mark.slow
 def test_one_weight_is_16_times_as_large_and_one_frequency_has_the_mean_of_all():
     found = json.loads(subprocess.check_output(["node", "-e", BROKEN, VIEWER, DEMO]))
     assert found["changed"] == [16] and found["mean"] < 1e-6 and found["gap"] > 0.1, found
