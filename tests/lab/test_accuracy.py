@@ -145,8 +145,9 @@ def test_no_label_of_the_picture_covers_another(draw, width, tmp_path, monkeypat
     monkeypatch.setattr(picture, "save_figure", lambda figure, path: figures.append(figure))
     draw(tmp_path / "picture.png", made_up(within=0.1))
     (figure,) = figures
-    assert drawn.overlaps(figure) == [] and figure.get_size_inches()[0] * figure.dpi == width
-    shown = " ".join(" ".join(text for text, _ in drawn.texts(figure)).split())
+    labels = drawn.texts(figure)
+    assert drawn.overlaps(labels) == [] and figure.get_size_inches()[0] * figure.dpi == width
+    shown = " ".join(" ".join(text for text, _ in labels).split())
     assert "renderer: fast is 49 times as fast as loop, off by 0.01 grey levels" in shown
     assert all(row["choice"] in shown for row in made_up() if row["question"] in picture.FRONT)
     assert "grey levels" in shown and "dB" in shown and " ms" in shown

@@ -46,10 +46,10 @@ def smallest(figure):
     return min(sizes) * figure.dpi / 72
 
 
-def overlaps(figure):
-    """The pairs of texts that cover each other by more than a pixel."""
+def overlaps(shown):
+    """The pairs of `texts` that cover each other by more than a pixel."""
     return [
         (one, other)
-        for (one, a), (other, b) in combinations(texts(figure), 2)
+        for (one, a), (other, b) in combinations(shown, 2)
         if a.padded(-1).overlaps(b.padded(-1))
     ]

@@ -23,9 +23,10 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
     with figures.styled(lessons.STYLE):  # as they are drawn: numbers of colour bars are made then
-        shown = {numeral for label, _ in drawn.texts(figure) for numeral in NUMERAL.findall(label)}
-        assert drawn.overlaps(figure) == [] and drawn.smallest(figure) > 19  # pixels
-        assert tour.PICTURES[title][0] in [label for label, _ in drawn.texts(figure)]
+        labels = drawn.texts(figure)
+        shown = {numeral for label, _ in labels for numeral in NUMERAL.findall(label)}
+        assert drawn.overlaps(labels) == [] and drawn.smallest(figure) > 19  # pixels
+        assert tour.PICTURES[title][0] in [label for label, _ in labels]
     assert set() != set(NUMERAL.findall(UNREAD.sub("", text))) <= shown
 
 
