@@ -162,7 +162,7 @@ def test_reader_takes_the_vectors_within_the_tolerance(language, command, copy):
     assert command(language) == (0, "offsets/ordinary: ok\n", "")
 
 
-@pytest.mark.parametrize("damage", few(DAMAGE, 2, 12))
+@pytest.mark.parametrize("damage", few(DAMAGE, 2, 4))
 @EVERYWHERE
 def test_reader_refuses_damaged_vectors(language, damage, command, copy):
     change(copy, *DAMAGE[damage])
