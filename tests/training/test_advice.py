@@ -179,6 +179,7 @@ def odd():
     return replace(moving(), train=[blank, *others], points=np.zeros((9, 3)))
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("work", [p4.train, p4.main_job])
 def test_training_warns_before_and_after(work, tmp_path):
     told = messages(work, odd(), "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
