@@ -40,7 +40,8 @@ DEMO = "demo --preset smoke --seed 3 --set Q_f=0.5"
 def report(tmp_path_factory):
     """The folder that a demo fills, and what it prints to stdout and stderr."""
     folder, out, err = tmp_path_factory.mktemp("demo") / "report", io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
+    with redirect_stdout(out), redirect_stderr(err), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **how: None)  # nobody looks
         assert command(f"{DEMO} -o {folder}") == 0
     return folder, out.getvalue(), err.getvalue()
 
