@@ -41,7 +41,7 @@ WAYS = {"console script": CONSOLE_SCRIPT, "python -m": MODULE}
 MODULES = ("argparse", "numpy", "scipy", "p4dgs_ref.scenes.load")
 
 
-@pytest.mark.parametrize("name, way, module", few(itertools.product(NUMBERS, WAYS, MODULES), 1))
+@pytest.mark.parametrize("name, way, module", few(itertools.product(NUMBERS, WAYS, MODULES), 1, 8))
 def test_during_an_import(tmp_path, name, way, module):
     argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]
     code = SLOW.format(module=module) + WAYS[way].format(argv=argv)

@@ -184,7 +184,7 @@ def test_reference(key, name):
     compare(key, name, "float64", 4)
 
 
-@pytest.mark.parametrize("key, name", few(CASES, 0, 50))
+@pytest.mark.parametrize("key, name", few(CASES, 0, 40))
 def test_reference_at_many_elements_and_in_float32(key, name):
     """The record has every element, which takes minutes for an image."""
     compare(key, name, "float64", SAMPLES)

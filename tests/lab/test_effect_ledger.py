@@ -171,7 +171,7 @@ def test_silent_units_change_no_picture(name, monkeypatch):
 
 
 @pytest.mark.slow
-@turn("static scene")
+@turn("a static scene")
 def test_static_needs_less_than_with_everything_on():
     """Bytes and quality of `static`, a tenth of a training, over two seeds."""
     scene, preset = load_scene("static"), trainings.reduced(TINY.iterations // 10)

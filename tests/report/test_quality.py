@@ -25,6 +25,7 @@ PROMISED = {
 
 
 @pytest.mark.slow
+@turn("quality")
 @pytest.mark.parametrize("name", of_the_day(PROMISED))
 def test_a_preset_reaches_its_quality(name):
     preset, psnr_db, ssim, most_bytes = PROMISED[name]

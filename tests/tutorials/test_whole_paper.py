@@ -215,7 +215,7 @@ def test_same_seed_gives_the_same_bytes(short):
 
 # --- the whole file -------------------------------------------------------------------------------
 @pytest.mark.slow
-@turn("quality of 00")
+@turn("00")
 @pytest.mark.parametrize("seed, least", of_the_day([(0, 28), (1, 26), (2, 26)]))
 def test_training_reaches_its_quality_from_the_decoded_bytes(seed, least, whole, capsys):
     p, _ = whole.train(whole.views, seed)
@@ -244,7 +244,7 @@ ROW = re.compile(rf"# \| ([^|]+) \| [\d.]+ \| {RANGE} \| {RANGE} \| ([\d.]+) \| 
 
 
 @pytest.mark.slow
-@turn("designs of 00")
+@turn("the designs of 00")
 @pytest.mark.parametrize("seed", of_the_day([0, 1, 2]))
 def test_designs_are_within_the_ranges_of_the_table(seed, whole):
     """Where other last bits lead training elsewhere, it may be a little outside."""

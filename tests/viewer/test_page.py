@@ -51,7 +51,7 @@ def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
 
 
 @pytest.mark.slow
-@turn("a file of other lambda")
+@turn("another lambda")
 @pytest.mark.skipif(demo.kept()["arithmetic"] != demo.with_what(), reason="another arithmetic")
 @pytest.mark.parametrize("lambda_rate", of_the_day(lambdas.OTHERS))
 def test_a_file_of_other_lambda_is_made_again(lambda_rate):
