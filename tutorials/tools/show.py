@@ -326,5 +326,12 @@ def bits(figure, data, camera, t, view):
     costs = [f"{w}: {sum(row):.0f}" for w, row in zip(("cheapest", "mean", "costliest"), rows)]
     right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 6.8))
     means = [f"{name}: {mean:.0f}" for name, mean in zip(PARTS, rows[1])]
-    right.legend(right.patches[: len(PARTS)], means, ncols=2, frameon=False, title="mean bits")
+    right.legend(
+        right.patches[: len(PARTS)],
+        means,
+        ncols=2,
+        handlelength=1,
+        frameon=False,
+        title="mean bits",
+    )
     return more
