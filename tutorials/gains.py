@@ -2,7 +2,7 @@
 
     gains.show("08_step", {"one step": "fixed step"}, {"all of it": (0.85, "38.24 dB")})
 
-draws out/08_step_gain.png; with {}, where the paper has no number, only our files.
+draws out/08_step_gain.png; {} says that the paper has no number, so only ours are drawn.
 """
 
 import numpy as np
@@ -29,12 +29,9 @@ def mean(label, column="bytes", record="ablate"):
 
 def show(name, here, paper, record="ablate"):
     """Draw our files, {text: label of a record's rows}, and the paper's, {text: (MB, quality)}."""
-    titles = ("here: bouncing, three seeds", "in the paper: T-Rex")[: 1 + bool(paper)]
-    figsize = 6.5 * len(titles), 1.4 + 0.6 * max(len(here), len(paper))
-    figure, (axes,) = lessons.pyplot().subplots(
-        1, len(titles), squeeze=False, figsize=figsize, layout="constrained"
+    figure, (ours, theirs) = lessons.pyplot().subplots(
+        1, 2, figsize=(13, 1.4 + 0.6 * max(len(here), len(paper))), layout="constrained"
     )
-    ours, theirs = axes[0], axes[-1]
     for text, label in here.items():
         rows = rows_of(label, record)
         db = [row["psnr_db"] for row in rows]
@@ -49,8 +46,11 @@ def show(name, here, paper, record="ablate"):
     for text, (size, quality) in paper.items():
         theirs.barh(text, size, color=drawing.GREY)
         theirs.text(size, text, f" {size} MB\n {quality}", va="center")
-    for ax, title in zip(axes, titles):
-        ax.set_title(title)
+    ours.set_title("here: bouncing, three seeds")
+    theirs.set_title("in the paper: T-Rex")
+    if not paper:
+        theirs.remove()
+    for ax in (ours, theirs):
         ax.invert_yaxis()
         ax.margins(x=0.5)
         ax.set_xticks(())
