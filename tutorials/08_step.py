@@ -327,7 +327,8 @@ lessons.check_backward("08.3", my_backward, "step")
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only step` compares what a port wrote. Begin with the scalar
 # formula, `--only step_floor`, and look at its gradient, which must be 0 on the floor. A port that
-# clamps the value where its framework does not differentiate wrongly passes the gradient on.
+# clamps the value outside of what its framework differentiates lets the gradient pass, which is
+# wrong.
 
 # %%
 lessons.passes("step")

@@ -265,8 +265,8 @@ lessons.show(figure, "11_rate")
 # ## Break it
 # Suppose we apply the mask by multiplying, `bits_O * mask`. The result is the same until a masked
 # child lies so far from its mean that its bits are infinite, which happens if Eq. (11) is computed
-# as printed. Zero times infinity is NaN, and so is the whole rate. The selection `np.where(mask[:,
-# :, None], bits_O, 0)` does not look at masked values.
+# as printed. Zero times infinity is NaN, and so is the whole rate. Masked values are not even read
+# by the selection `np.where(mask[:, :, None], bits_O, 0)`.
 
 
 # %%
@@ -323,7 +323,8 @@ gains.show("11_rate", rows, paper, "curve")
 # - *Eq. (17) is the size of the file.* Positions, masks, networks and headers are not in it.
 # - *Masks are the paper's.* It says only that children with low opacity are dropped; a mask in the
 #   file is this project's choice `Q15`.
-# - *A grid of equal signs would be the best.* It costs 0 bits, but tells anchors apart no longer.
+# - *A grid of equal signs would be the best.* It costs 0 bits, but it no longer tells anchors
+#   apart.
 
 # %% [markdown]
 # ## Exercises
