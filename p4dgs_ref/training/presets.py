@@ -280,7 +280,7 @@ def choose(preset, changes=None):
         like = getattr(preset, name)
         try:
             values[name] = read_value(value, like)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             raise ValueError(
                 f"field {name!r}: expected a value like {like!r}, got {value!r}"
             ) from None

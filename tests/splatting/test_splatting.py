@@ -170,10 +170,12 @@ def test_nothing_to_draw_gives_the_background(hidden, settings):
     if hidden == "not visible":
         inputs["visible"] = np.zeros(5, bool)
     elif hidden == "off the image":
-        inputs["mean2d"] = inputs["mean2d"] + 1e6
+        inputs["mean2d"] = inputs["mean2d"] + 1e20
     else:
         inputs["alpha"] = np.zeros(5)
     image, _, bars = run(fast, inputs, np.ones((9, 14, 3)), settings=settings)
+    looped, *_ = run(loop, inputs, np.ones((9, 14, 3)), settings=settings)
+    assert largest(looped, image) < 1e-7
     assert np.array_equal(image, np.broadcast_to(image[:1, :1], (9, 14, 3)))
     assert np.allclose(image[0, 0], inputs["background"])
     assert all(np.isfinite(bar).all() for bar in bars.values()) and not bars["mean2d"].any()
