@@ -140,7 +140,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..equations.grid_nodes import entries
+from ..equations.grid_nodes import table_rows
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import GROUPS, LATTICE
 from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, lookup_table
@@ -234,7 +234,7 @@ def hash_feature(positions, grids, design):
         base, t = place // LATTICE, (place % LATTICE).astype(float)
         corner = np.indices([2] * len(axes)).reshape(len(axes), -1).T
         weight = np.where(corner, t[:, None, :], LATTICE - t[:, None, :]).prod(axis=2)
-        signs = grid.take(entries(base, corner, res, len(grid)), axis=0)  # [A, 2^D, F]
+        signs = grid.take(table_rows(base, corner, res, len(grid)), axis=0)  # [A, 2^D, F]
         # Exact in any order: sums of integers below 2^48.
         v = np.einsum("ac,acf->af", weight, signs).astype(np.int64)
         unit = LATTICE ** len(axes) >> INPUT_BITS

@@ -34,9 +34,9 @@ def forward(
     transmittance = np.empty(height * width, mean2d.dtype)
     for pixels, x, y in pixel_blocks(height, width, len(order), mean2d.dtype):
         A = alphas(*splats, x, y)[0]
-        T, behind = transmittances(A, occlusion)
-        image[pixels] = (A * T).T @ color[order] + behind[:, None] * background
-        transmittance[pixels] = behind
+        T, T_N = transmittances(A, occlusion)
+        image[pixels] = (A * T).T @ color[order] + T_N[:, None] * background
+        transmittance[pixels] = T_N
     saved = (order, splats, color, background, occlusion)
     return (image.reshape(height, width, 3), transmittance.reshape(height, width)), saved
 
@@ -58,13 +58,13 @@ def backward(saved, image_bar, transmittance_bar=None):
     sums = np.zeros((6, M), dtype)  # over all pixels, for every Gaussian
     for pixels, x, y in pixel_blocks(height, width, M, dtype):
         A, falloff, e_x, e_y = alphas(mean2d, conic, alpha, alpha_max, x, y)
-        T, transmittance = transmittances(A, occlusion)
+        T, T_N = transmittances(A, occlusion)
         color_bar += (A * T) @ g[pixels]
-        background_bar += transmittance @ g[pixels]
+        background_bar += T_N @ g[pixels]
         V = color @ g[pixels].T  # what a pixel gains per unit of weight of Gaussian i
         if occlusion:
-            # `behind` is the value seen through layer i, dL / d alpha_i = T_i (V_i - behind): in
-            # this form nothing is divided by 1 - alpha.
+            # `behind` is what the pixel gains from all that lies behind layer i. In the form
+            # dL / d alpha_i = T_i (V_i - behind) nothing is divided by 1 - alpha.
             behind = g[pixels] @ background + h[pixels]
             for i in reversed(range(M)):
                 V[i] -= behind

@@ -147,7 +147,7 @@ def test_ellipse_test_is_exact():
     """
     inputs = splats(300, 40, 48, seed=5, sigma=(0.6, 9.0))
     lists = bin_splats(inputs)
-    listed = set(zip(lists.tile.tolist(), lists.row.tolist()))
+    listed = set(zip(lists.tile.tolist(), lists.splat.tolist()))
     fine = np.linspace(0, 7, 113)
     a, b, c = inputs["conic"].T[:, :, None, None]
     superfluous = 0
