@@ -59,7 +59,7 @@ from .container import require
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_SYMBOL = 2**31  # magnitude of a coded number
-MAX_GAMMA = 33
+MAX_GAMMA = 33  # of the b of an escape
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):

@@ -11,10 +11,10 @@ import numpy as np
 
 def forward(
     x,  # [N, I]  one sample a row
-    weights,  # psi, I -> J
+    weights,  # psi, I -> O
     biases,
 ):
-    """Return y [N, J] and what `backward` needs: the input of every layer, and the weights."""
+    """Return y [N, O] and what `backward` needs: the input of every layer, and the weights."""
     inputs = [x]
     for W, b in zip(weights[:-1], biases[:-1]):
         hidden = inputs[-1] @ W
@@ -33,7 +33,7 @@ def backward(saved, y_bar, needs_x=True) -> dict:
     weights_bar, biases_bar = [None] * len(weights), [None] * len(weights)
     for i in reversed(range(len(weights))):
         weights_bar[i] = inputs[i].T @ y_bar
-        biases_bar[i] = np.einsum("nj->j", y_bar)  # faster than .sum(axis=0)
+        biases_bar[i] = np.einsum("no->o", y_bar)  # faster than .sum(axis=0)
         if i > 0 or needs_x:
             y_bar = y_bar @ weights[i].T
         if i > 0:

@@ -50,9 +50,9 @@ def backward(saved, image_bar, transmittance_bar=None):
     mean2d, conic, alpha, alpha_max = splats
     height, width, _ = image_bar.shape
     dtype, M, color = mean2d.dtype, len(order), all_colors[order]
-    g, h = image_bar.reshape(-1, 3), np.zeros(height * width, dtype)
+    g, T_N_bar = image_bar.reshape(-1, 3), np.zeros(height * width, dtype)
     if transmittance_bar is not None:
-        h += transmittance_bar.reshape(-1)
+        T_N_bar += transmittance_bar.reshape(-1)
     a, b, c = conic.T[:, :, None]
     color_bar, background_bar = np.zeros((M, 3), dtype), np.zeros(3, dtype)
     sums = np.zeros((6, M), dtype)  # over all pixels, for every Gaussian
@@ -65,7 +65,7 @@ def backward(saved, image_bar, transmittance_bar=None):
         if occlusion:
             # `behind` is what the pixel gains from all that lies behind layer i. In the form
             # dL / d alpha_i = T_i (V_i - behind) nothing is divided by 1 - alpha.
-            behind = g[pixels] @ background + h[pixels]
+            behind = g[pixels] @ background + T_N_bar[pixels]
             for i in reversed(range(M)):
                 V[i] -= behind
                 behind += A[i] * V[i]
