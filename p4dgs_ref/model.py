@@ -193,8 +193,8 @@ def predict(design, networks, anchors, x_c, t=None):
         attributes {name: gradient} and of the networks {name: gradients}
     """
     f_a, effects = anchors.f_a, design.effects
-    unseen = f_a[:, :0], f_a[:, :0]
-    seen, back_view = unseen, None
+    seen = unseen = f_a[:, :0], f_a[:, :0]
+    back_view = None
     if "view_color" in effects or "view_geometry" in effects:
         seen, back_view = with_backward(view, anchors.x_a, x_c)
     for_color = seen if "view_color" in effects else unseen

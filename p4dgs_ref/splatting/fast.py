@@ -232,26 +232,21 @@ def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
     """
     A = np.empty((len(coefficients), *T.shape), T.dtype)
     weights = np.empty_like(A) if keep and occlusion else A
-    clamped = []
+    basis, clamped = monomials(settings.tile, settings.dtype), []
     ranks = max(1, CACHED // T.size)
     for first in range(0, len(A), ranks):
         some = slice(first, first + ranks)
-        alphas(coefficients[some], settings, A[some])
+        alphas = A[some]
+        np.matmul(coefficients[some].reshape(-1, 6), basis, out=alphas.reshape(-1, len(basis.T)))
+        np.exp(alphas, out=alphas)
         if clamps:
-            where, slope = clamp(A[some].reshape(-1), settings)
+            where, slope = clamp(alphas.reshape(-1), settings)
             clamped.append((where + first * T.size, slope))
         if settings.mask:
-            A[some][A[some] < settings.mask] = 0
+            alphas[alphas < settings.mask] = 0
         if occlusion:
-            front_to_back(A[some], weights[some], T, stopped, settings)
+            front_to_back(alphas, weights[some], T, stopped, settings)
     return A, weights, clamped
-
-
-def alphas(coefficients, settings, out):
-    """Write the exp of polynomials [K, G, 6], alphas before their clamp, to `out` [K, G, P]."""
-    basis = monomials(settings.tile, settings.dtype)
-    np.matmul(coefficients.reshape(-1, 6), basis, out=out.reshape(-1, basis.shape[1]))
-    np.exp(out, out=out)
 
 
 def clamp(A, settings):

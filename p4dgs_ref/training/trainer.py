@@ -81,12 +81,16 @@ class Trainer:
         self.design = design_of(self.preset, self.scene.effects)
         self.box = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
-        self.adopt(initial_parameters(self.preset, self.design, self.rng, points))
-        self.adam = Adam(self.parameters)
+        self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         excess = over_limits(self.design, self.primitives)
         require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
+
+    def start(self, parameters):
+        """Take over the first parameters, with zero Adam moments."""
+        self.adopt(parameters)
+        self.adam = Adam(self.parameters)
 
     def adopt(self, parameters):
         """Take over parameters and find the networks and grids in them."""

@@ -28,7 +28,7 @@ from p4dgs_ref.training import trainer
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import neighbour_distance, starting_points
 from p4dgs_ref.training.objective import Losses, Rendered
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential
+from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.watch import NotFinite, first_bad
 
 from . import sh_color
@@ -255,8 +255,7 @@ class Trainer(trainer.Trainer):
 
     def begin(self, points):
         """Draw the first parameters."""
-        self.adopt(Parameters(self.kind.initial(self.preset, self.rng, points)))
-        self.adam = Adam(self.parameters)
+        self.start(Parameters(self.kind.initial(self.preset, self.rng, points)))
         self.extent = extent_of(self.scene.train)
         self.statistics = Statistics.empty(self.primitives, 1)
 
