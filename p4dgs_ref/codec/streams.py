@@ -224,7 +224,7 @@ def decode_bits(data, count, section="stream"):
     end = 4 if count else 0
     require(len(data) >= end, section, len(data), "the data end before the probability")
     f = int.from_bytes(data[:end], "little")
-    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24")
+    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24, expected at most 1")
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:

@@ -13,7 +13,7 @@ MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (
 
 @dataclass
 class Statistics:
-    """Sums over the views since the last adjustment."""
+    """Sums over the views since they were last cleared."""
 
     visits: np.ndarray  # [A]  views in which the anchor took part
     opacity: np.ndarray  # [A, k]  positive opacities of its children
