@@ -192,7 +192,7 @@ def quantised_of(sections):
 
 
 def decode_attributes(sections, model, positions):
-    """The quantised model, from all that its file holds as plain numbers."""
+    """Decode grids, masks and attributes of a model whose other parts have been read."""
     design, A = model.design, len(positions)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)

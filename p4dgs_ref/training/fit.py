@@ -1,4 +1,4 @@
-"""Training to the end, with a checkpoint from which it goes on to the same bytes."""
+"""Training to the end, with checkpoints: a training that resumes from one gives the same bytes."""
 
 import hashlib
 import io
