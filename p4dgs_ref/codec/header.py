@@ -157,7 +157,7 @@ def integer(most):
 
 
 def whole_number(digits):
-    """The integer that is written, or the nearest double where it has too many digits for a field."""
+    """The integer that is written, or the nearest double where it has too many digits."""
     return int(digits) if len(digits) < MAX_DIGITS else float(digits)
 
 
