@@ -66,7 +66,7 @@ def grow(p, statistics, preset, rng):
     looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that hold a child
     with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. A random share of the
     children, 1 - 0.5**(i+1), counts. Levels after the first are looked at only once an anchor was
-    added. Each entry of a new anchor's feature is the largest one among the anchors whose children
+    added. Each number of a new anchor's feature is the largest one among the anchors whose children
     are in its voxel.
     """
     x = centers(p).reshape(-1, 3)

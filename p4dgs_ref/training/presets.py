@@ -43,7 +43,7 @@ class Preset:
     feature_std: float = 0.0  # of the initial features
     opacity_bias: float = 0.0  # added to psi_alpha's last bias
     upright: bool = False  # whether (1, 0, 0, 0) is added to psi_r's last bias
-    deformation_gain: float = 1.0  # factor of psi_d's first heads
+    deformation_gain: float = 1.0  # factor of psi_d's heads at the start
     # quantisation and rate
     Q_f: float = 1.0  # base steps of f, s, l and O
     Q_s: float = 0.001
