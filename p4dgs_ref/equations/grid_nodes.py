@@ -1,8 +1,8 @@
 """Which nodes of a multi-resolution hash grid surround a point, and how much each of them weighs.
 
 A level covers the box with `res` nodes along each of its axes. A point reads the corners of the
-cell around it with multilinear weights. The level's table has T rows, each with the F entries of
-one or more nodes. Node (i, j, k), in the order of the level's axes, has the row
+cell around it with multilinear weights. The level's table has T rows of F entries each; a hashed
+row may belong to several nodes. Node (i, j, k), in the order of the level's axes, has the row
 
     i + j res + k res**2                           where the table holds all nodes
     (i XOR 2654435761 j XOR 805459861 k) mod T     elsewhere, products modulo 2**32
