@@ -45,6 +45,8 @@ def test_a_camera_without_a_principal_point_has_it_in_the_middle_of_the_pixels(w
     assert (camera.f_x, camera.f_y, camera.width, camera.height) == (50, 40, width, height)
     given = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height, c_x=3, c_y=4)
     assert (given.c_x, given.c_y) == (3, 4)
+    with pytest.raises(ValueError, match="not on one line"):
+        look_at((0, 0, 2), (0, 0, 0), 50, 40, width, height)
 
 
 def relative(a, b):
