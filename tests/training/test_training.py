@@ -104,7 +104,6 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"voxel": " 0.1"}, "'voxel'"),
         ({"grow_from": "10", "grow_until": "5"}, "'grow_until': expected at least grow_from, 10"),
         ({"lr_c": "2,1"}, "'lr_c': expected .* up to 1 or 0,0"),
-        ({"Q_f": 1e-11}, "'Q_f'"),
         (
             {"table_3d": 2**24, "grid_3d": (170, 170), "F": 2},
             "at most 16777216 entries of the grid, got",
@@ -177,7 +176,7 @@ def test_sixty_steps_have_the_bytes_that_are_kept():
     if demo.with_what() != kept["arithmetic"]:
         pytest.skip(f"the steps had {kept['arithmetic']}; other last bits lead to other bytes")
     made = proof()
-    assert made == {name: kept[name] for name in made} | {"arithmetic": made["arithmetic"]}
+    assert made.items() - kept.items() == {("arithmetic", made["arithmetic"])}
 
 
 # --- optimiser ---
