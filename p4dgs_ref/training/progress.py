@@ -18,7 +18,7 @@ def psnr(image, truth):
 
 
 class Progress:
-    """Called after every step, it extends `trainer.history` and writes a line to `stream`.
+    """Called after every step: adds rows to `trainer.history` and writes lines to `stream`.
 
     A terminal shows one line that changes. Other streams get about a dozen lines, None gets none.
     """

@@ -89,6 +89,7 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
         ({"tau_alpha": -1}, "tau_alpha"),
         ({"d": "1_0"}, "'d': expected a value like 16, got '1_0'"),
+        ({"d": np.inf}, "'d': expected a value like 16, got inf"),
         ({"d": "4 "}, "'d': expected a value like 16, got '4 '"),
         ({"d": "\N{ARABIC-INDIC DIGIT FOUR}"}, "'d'"),
         ({"voxel": " 0.1"}, "'voxel'"),
