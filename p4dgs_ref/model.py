@@ -304,7 +304,7 @@ class Model:
     background: np.ndarray  # [3]
 
     @property
-    def primitives(self) -> int:
+    def count(self) -> int:
         """The number of anchors."""
         return len(self.anchors.mask)
 

@@ -83,7 +83,7 @@ class Trainer:
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
-        excess = over_limits(self.design, self.primitives)
+        excess = over_limits(self.design, self.count)
         require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
@@ -99,7 +99,7 @@ class Trainer:
         self.grids = parameters.listed("grid")
 
     @property
-    def primitives(self):
+    def count(self):
         """The number of anchors."""
         return len(self.mask)
 
