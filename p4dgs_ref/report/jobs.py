@@ -1,4 +1,4 @@
-"""The main job: fit a scene, compress it to a file, decode that file, render, measure, draw."""
+"""The main job: train on a scene, compress to a file, decode it, render, measure, draw."""
 
 import json
 import time

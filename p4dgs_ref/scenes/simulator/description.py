@@ -131,9 +131,10 @@ def read_description(source):
     known = {None}
     for i, body in enumerate(description.bodies):
         require(
-            body.parent in known,
-            f"{where}: bodies[{i}].parent",
-            f"{body.parent!r}; expected a body listed before",
+            body.name not in known and body.parent in known,
+            f"{where}: bodies[{i}]",
+            f"name {body.name!r}, parent {body.parent!r}; expected a name that no body before it "
+            "has, and as parent a body listed before it",
         )
         known.add(body.name)
     return description
