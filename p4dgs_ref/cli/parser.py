@@ -338,7 +338,7 @@ def in_groups():
 
 
 def add_commands(parent, kind, table, **shown):
-    """Divide a parser into the commands of a table, a command perhaps into those of its own."""
+    """Give a parser the commands of a table; a command may have commands of its own."""
     named = {"dest": kind, "metavar": kind.upper(), "prog": parent.prog}
     commands = parent.add_subparsers(required=True, **named, **shown)
     for name, (function, help, arguments) in table.items():

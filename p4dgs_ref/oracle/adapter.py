@@ -24,8 +24,8 @@ asked for these alone, and no other subject is required of it. The report says b
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed, with all that it started.
-Processes and their groups are those of POSIX.
+is closed, and a port that still runs a second later is killed with all processes that it started.
+The process groups are those of POSIX, so this does not run on Windows.
 """
 
 import base64
@@ -118,7 +118,7 @@ class Adapter(contextlib.AbstractContextManager):
         self.close()
 
     def close(self, grace=1.0):
-        """End the process, if one runs, and all that it started; return the end of its stderr."""
+        """End the process, if it runs, and all that it started; return the end of its stderr."""
         child, self.child = self.child, None
         return child.end(grace) if child else ""
 

@@ -17,7 +17,7 @@ class Report(NamedTuple):
 
     results: list
     says: dict = {}  # the first line of a port that runs as a process
-    dtype: str | None = None  # in which that port was asked; otherwise each tensor has its own
+    dtype: str | None = None  # in which that port was asked; None: each tensor has its own
     strict: bool = False
 
     @property
@@ -57,9 +57,9 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     `key` may be the id of a single case. `forward(**inputs)` returns the outputs: a dictionary, a
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
-    which the inputs are given. `strict` fails what is acceptable because the printed formula is no
-    better. Raises KeyError where `key` is no subject and no case, and ValueError where `dtype` is
-    neither float64 nor float32.
+    which the inputs are given. With `strict`, answers fail that are acceptable only because the
+    printed formula is no better. Raises KeyError where `key` is no subject and no case, and
+    ValueError where `dtype` is neither float64 nor float32.
     """
     port = FunctionPort(forward, vjp, dtype)
     return Report(check_subject(published.cases(key), port, strict), {}, port.dtype.name, strict)
@@ -68,8 +68,8 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; empty, all.
-    `strict` is that of `check`.
+    `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; if they are
+    empty, all cases run. `strict` is that of `check`.
     """
     only, results = {only} if isinstance(only, str) else set(only), []
     for level in (level for level in LEVELS if not levels or level in levels):
@@ -99,8 +99,8 @@ def _chosen(rows, names, only):
 def check_subject(cases, port, strict=False):
     """Return the results of one subject's cases. Wrong answers are explained by the doctor.
 
-    A port may leave out a subject of a group, but not some of its cases. Where it has a field
-    `asked`, only its tensors of these roles are judged.
+    A port may leave out a whole subject of a group, but not single cases of it. If the port has a
+    field `asked`, only the tensors of these roles are judged.
     """
     judged = [judge(case, port, strict) for case in cases]
     results = [result for result, _ in judged]
@@ -151,7 +151,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         for finding in findings and findings_of(printed, mine, names)
         if not is_defensible(case, got, finding)
     ]
-    # Where a wrong answer would be as near, it means nothing to be as near as the printed formula.
+    # Where a wrong answer would be as near as the printed formula, being as near proves nothing.
     wide = printed.unasked(precision(got)) if findings and not strict else []
     vague = {f.tensor for f in findings if f.tensor in wide} - {f.tensor for f in mistaken}
     findings = [f for f in findings if f.tensor not in vague]
@@ -193,7 +193,7 @@ def findings_of(case, got, names):
 def evidence(case, got, result):
     """Return what the doctor is shown of a case, with the scales of the printed formula.
 
-    Tensors that are merely as near as the printed formula comes say nothing about a mistake.
+    Tensors that are off, but no further than the printed formula, say nothing about a mistake.
     """
     wrong = [finding.tensor for finding in result.findings]
     near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
@@ -204,7 +204,7 @@ def evidence(case, got, result):
 def explained(result, diagnoses):
     """Return a result with what the diagnoses say of its case: an explanation or a hint.
 
-    A known mistake also says what is to blame.
+    A known mistake also names the equation to blame.
     """
     rows = [row for row in diagnoses if result.id in row.cases]
     is_certain = bool(rows) and rows[0].certain
@@ -214,9 +214,9 @@ def explained(result, diagnoses):
 
 
 def _shared(results):
-    """Reuse an equation's explanation for failures of its other subjects without a diagnosis.
+    """Give failures without a diagnosis the explanation of another subject of the same equation.
 
-    Where the doctor was silent about a case of the same subject, that case contradicts it.
+    A case of the explained subject itself gets none: without a diagnosis it contradicts this one.
     """
     known = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
     shared = []

@@ -15,8 +15,8 @@ import numpy as np
 from . import safetensors
 from .compare import too_wide
 
-# The vectors of version 1.0. Their manifest says "v1.2", and some cases and streams have the field
-# `since`: these numbers count drafts from before the release. The bytes of published files stay.
+# The vectors of version 1.0. The "v1.2" of their manifest and the field `since` of some cases and
+# streams count the drafts before the release. The bytes of published files stay.
 FOLDER = Path(__file__).with_name("v1")
 LEVELS = {
     "L0": "scalars",
@@ -96,7 +96,7 @@ def names(of=""):
 
 
 def meant(name, known):
-    """Return what an unknown name may have been: the nearest of the known ones, then all."""
+    """Return the end of a message about an unknown name: the nearest known one, then all."""
     nearest = get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}? " if nearest else ""
     return f"{hint}expected one of {', '.join(known)}"

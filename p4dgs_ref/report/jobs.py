@@ -17,7 +17,7 @@ from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import compression, evaluate, json_safe, timed
 
-OVERFITTED = 6  # dB by which training views may be better than test views without a warning
+OVERFITTED = 6  # dB; training views that are better than test views by more get a warning
 
 
 def main_job(

@@ -48,7 +48,7 @@ VIEWS = {
     "target": (POINT, ORIGIN),
 }
 
-# The kinds of everything that has one, each with its fields.
+# The fields of every kind of shape, texture, motion, light and camera path.
 SHAPES = {
     "sphere": {"radius": (POSITIVE, REQUIRED)},
     # `half` is half the length of the edges
