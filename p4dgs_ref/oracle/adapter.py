@@ -44,7 +44,7 @@ import numpy as np
 
 from ..limits import cut
 from .compare import cast
-from .ports import ROLES, PortError, refuse_other_types, refuse_unasked
+from .ports import ROLES, PortError, refuse_not_judged, refuse_other_types
 from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
@@ -80,9 +80,9 @@ class Adapter(contextlib.AbstractContextManager):
     def run(self, case):
         """Return the outputs and gradients of one case: {"out.x": array, "in_bar.x_a": array}.
 
-        Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and unasked.
+        Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and not_judged.
         """
-        refuse_unasked(case, self.dtype)
+        refuse_not_judged(case, self.dtype)
         request = {
             "id": case.id,
             "subject": case.subject,

@@ -104,7 +104,7 @@ def check_subject(cases, port, strict=False):
     """
     judged = [judge(case, port, strict) for case in cases]
     results = [result for result, _ in judged]
-    if cases[0].group and all(r.verdict in ("skipped", "missing", "unasked") for r in results):
+    if cases[0].group and all(r.verdict in ("skipped", "missing", "not_judged") for r in results):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
@@ -129,7 +129,8 @@ def judge(case, port, strict=False):
             case.equation,
             case.level,
             verdict=error.kind,
-            required=case.record["result"] == "valid" and error.kind not in ("unasked", "absent"),
+            required=case.record["result"] == "valid"
+            and error.kind not in ("not_judged", "absent"),
             explanation=str(error),
             group=case.group,
         ), None
@@ -139,11 +140,13 @@ def judge(case, port, strict=False):
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
     got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}
-    is_valid, unasked = case.record["result"] == "valid", case.unasked(precision(got))
+    is_valid, not_judged = case.record["result"] == "valid", case.not_judged(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.
     some = case.group == "inside" and expected(case.tensors).keys() & got.keys()
-    names = [n for n in some or expected(case.tensors) if n.startswith(roles) and n not in unasked]
-    got = {name: a for name, a in got.items() if name not in unasked}
+    names = [
+        n for n in some or expected(case.tensors) if n.startswith(roles) and n not in not_judged
+    ]
+    got = {name: a for name, a in got.items() if name not in not_judged}
     findings = findings_of(case, got, names) if names else []
     printed, mine = as_printed(case, got)
     mistaken = [
@@ -152,13 +155,13 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         if not is_defensible(case, got, finding)
     ]
     # Where a wrong answer would be as near as the printed formula, being as near proves nothing.
-    wide = printed.unasked(precision(got)) if findings and not strict else []
+    wide = printed.not_judged(precision(got)) if findings and not strict else []
     vague = {f.tensor for f in findings if f.tensor in wide} - {f.tensor for f in mistaken}
     findings = [f for f in findings if f.tensor not in vague]
     names = [name for name in names if name not in vague]
     verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     if not findings:
-        verdict = "pass" if names else "unasked"
+        verdict = "pass" if names else "not_judged"
     return Result(
         case.id,
         case.equation,
@@ -166,7 +169,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         verdict,
         required=bool(names) and (is_valid or verdict == "fail"),
         findings=tuple(mistaken or findings),
-        unasked=(*unasked, *sorted(vague)),
+        not_judged=(*not_judged, *sorted(vague)),
         recipe=RECIPES[case.subject] if is_valid and (findings or vague) and not mistaken else "",
         group=case.group,
     )
@@ -197,7 +200,7 @@ def evidence(case, got, result):
     """
     wrong = [finding.tensor for finding in result.findings]
     near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
-    shown = {n: a for n, a in got.items() if n not in near and n not in result.unasked}
+    shown = {n: a for n, a in got.items() if n not in near and n not in result.not_judged}
     return as_printed(case, got)[0], shown, wrong
 
 

@@ -56,14 +56,14 @@ class Result(NamedTuple):
     equation: str
     level: str
     # pass; fail; acceptable (the printed formula is no better here or, where the case says so,
-    # another answer is defensible); unasked (none of the case's tensors is judged); or the kind of
-    # a PortError
+    # another answer is defensible); not_judged (none of the case's tensors is judged); or the kind
+    # of a PortError
     verdict: str
     required: bool
     findings: tuple = ()  # of Finding
     explanation: str = ""
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
-    unasked: tuple = ()  # names of tensors that are not judged, because wrong ones would pass too
+    not_judged: tuple = ()  # names of tensors of which wrong ones would pass too
     recipe: str = ""  # keeps the digits that this answer and the printed formula lack
     group: str = ""  # of subjects that a port may leave out
 
@@ -74,7 +74,7 @@ class Result(NamedTuple):
 
     @property
     def wrong(self):
-        return self.required and self.verdict not in ("pass", "acceptable", "unasked")
+        return self.required and self.verdict not in ("pass", "acceptable", "not_judged")
 
 
 def change_floats(values, change):

@@ -59,7 +59,7 @@ class Golden(NamedTuple):
         """Return the record {eps_S, reason} of a precision, or None if the case has none."""
         return self.record["tolerance"][precision]
 
-    def unasked(self, precision):
+    def not_judged(self, precision):
         """Return the names of the outputs and gradients that are not checked in a precision."""
         return too_wide(self.tensors, self.tolerance(precision), precision)
 
