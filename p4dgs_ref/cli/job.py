@@ -86,7 +86,9 @@ def estimate(arguments, scene, preset):
 
 def demo(arguments):
     """Run the main job and write its report."""
-    preset, scene = read_preset(arguments.preset, arguments.changes), load(arguments)
+    preset = read_preset(arguments.preset, arguments.changes)
+    refuse_existing(Path(arguments.output) / "metrics.json")
+    scene = load(arguments)
     estimate(arguments, scene, preset)
     metrics = p4.main_job(
         scene,
@@ -108,11 +110,12 @@ def simulate(arguments):
 def train(arguments):
     """Train on a scene and write a run folder."""
     preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
+    if not resume:
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
     scene = load(arguments)
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, scene, preset)
         if "effects" not in read_scene_json(scene.source):
             print_warning(
@@ -241,6 +244,5 @@ def inspect(arguments):
 def presets(arguments):
     """Print the presets beside the paper's values."""
     one = arguments.preset
-    print_result(
-        text.presets([read_preset(name) for name in ([one] if one else p4.PRESETS)], bool(one))
-    )
+    for name in [one] if one else p4.PRESETS:
+        print_result(text.preset(read_preset(name), bool(one)))
