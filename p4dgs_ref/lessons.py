@@ -64,12 +64,13 @@ STYLE = {
     "axes.spines.right": False,
     "axes.prop_cycle": f"cycler(color={list(COLORS)})",
 }
-# The anchor of tutorials/demo.p4dgs that leads from picture to byte. It sits on the highlight of
-# the red ball; child 0 is masked, and `child` changes its colour most around the scene.
+# The anchor of tutorials/demo.p4dgs that all tutorials follow. It sits on the highlight of the red
+# ball; child 0 is masked, and `child` changes its colour most when the camera walks around.
 THREAD = SimpleNamespace(name="anchor 29", index=29, child=2, color="#8000D0")
 ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
 NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
-# Factors that are told without giving an answer away, and what may have been confused.
+# Factors between a wrong answer and the right one that a message names, because they do not give
+# the answer away, and what may have been confused.
 TELLING_FACTORS = {
     0: "",
     0.5: "",
@@ -91,7 +92,7 @@ HINTS_GIVEN = {}  # exercise -> how many hints were asked for
 
 
 def oracle():
-    """Return the oracle. It is imported by what asks it; figures and claims do without."""
+    """Return the module p4dgs_ref.oracle, imported on first use; most cells do not need it."""
     from . import oracle
 
     return oracle
@@ -143,9 +144,9 @@ def here():
 
 
 def at_stage_4(trainer, model):
-    """Return the state of a trainer that begins stage 4 with what a model has of stages 1 to 3.
+    """Return the state of a trainer at the beginning of stage 4, with the anchors of a model.
 
-    These are its anchors and the networks that draw. The trainer has as many anchors as the model.
+    The networks that draw are also the model's. The trainer must have as many anchors as the model.
     """
     (arrays, values), anchors = trainer.state(), model.anchors
     new = {"x_a": anchors.x_a}
@@ -258,7 +259,7 @@ def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
 def passes(*keys, port=None):
     """Check equations of this project, or a port of one, by the golden vectors; print the report.
 
-    Of the equations, the gradients are checked as well.
+    The gradients of this project's equations are checked as well.
     """
     for key in keys:
         vjp = None if port else lambda inputs, bars: EQUATIONS[key].vjp(**inputs)[1](**bars)
@@ -344,7 +345,7 @@ def check_backward(exercise, mine, key, *wanted):
 
 
 def settle(exercise, problem, waived=""):
-    """Record and print whether an exercise is solved, and what was not asked for."""
+    """Record and print whether an exercise is solved; `waived` names faults that do not count."""
     RESULTS[exercise] = not problem
     message = "no answer yet" if "NotImplementedError" in problem else problem
     offer = f'\n  lessons.hint("{exercise}") gives a hint'
@@ -394,10 +395,10 @@ def gradients_of(answer, names):
 
 @np.errstate(all="ignore")
 def problem(cases, port, roles):
-    """Return what is wrong with a port in its first wrong case, and what was waived; "" if nothing.
+    """Return what is wrong with a port in its first wrong case, and which faults do not count.
 
-    The oracle's doctor sees the answers to all cases and names the mistake if it knows it. Where
-    gradients alone are asked for, outputs count as right.
+    Either is "" if there is none. The checker sees the answers to all cases and names a mistake
+    that it knows. Where only gradients are asked for, outputs count as right.
     """
     answers = {}  # those that are judged; asked again, a port may answer something else
 
@@ -444,8 +445,8 @@ def axes_of(case, tensor):
 def difference(mine, right, example=""):
     """Return how an array differs from the right one of the same shape.
 
-    Of a single number only a telling factor is named; others would give the right one away.
-    `example` follows where the errors of several numbers have nothing in common.
+    For a single number only one of TELLING_FACTORS is named; others would give the answer away.
+    `example` is added where the errors of several numbers have nothing in common.
     """
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
     wrong = ~np.isclose(mine, right, rounding, 0)

@@ -139,29 +139,29 @@ assert np.allclose(pixel - 1 / 8, [1 / 2, 1 / 4, 1 / 8])
 
 
 def flat_loss(p, image):
-    """The mean squared error of the picture of splats, each of nine free numbers.
+    """The mean squared error of the picture that splats draw, each of nine free numbers.
 
-    These are the mean, three of M = [[m, b], [0, n]] with the conic K = M^T M, opacity and colour.
+    They are its mean, three of M = [[M_a, M_b], [0, M_c]] with the conic M^T M, opacity and colour.
     """
-    (m, b, n), alpha, c = p["M"].T, sigmoid(p["alpha"]), sigmoid(p["c"])
-    conic = np.stack([m * m, m * b, b * b + n * n], axis=1)
+    (M_a, M_b, M_c), alpha, c = p["M"].T, sigmoid(p["alpha"]), sigmoid(p["c"])
+    conic = np.stack([M_a * M_a, M_a * M_b, M_b * M_b + M_c * M_c], axis=1)
     drawn, back_compositing = compositing(p["mean"], conic, alpha, c)
 
     def back():
         mean_bar, conic_bar, alpha_bar, c_bar = back_compositing(2 * (drawn - image) / image.size)
-        mm, mb, bb = conic_bar.T
-        M_bar = np.stack([2 * m * mm + b * mb, m * mb + 2 * b * bb, 2 * n * bb], axis=1)
+        aa, ab, bb = conic_bar.T
+        M_bar = np.stack([2 * M_a * aa + M_b * ab, M_a * ab + 2 * M_b * bb, 2 * M_c * bb], axis=1)
         g = {"alpha": alpha_bar * alpha * (1 - alpha), "c": c_bar * c * (1 - c)}
         return g | {"mean": mean_bar, "M": M_bar}
 
     return ((drawn - image) ** 2).mean(), {"picture": drawn}, back
 
 
-RATES = {"mean": 2.0, "M": 0.05, "alpha": 0.1, "c": 0.1}  # initial rates of learning
+RATES = {"mean": 2.0, "M": 0.05, "alpha": 0.1, "c": 0.1}  # initial learning rates
 
 
 class Adam:
-    """Adam, with rates that decay to 0.07 of their initial values in `total` steps."""
+    """Adam, with learning rates that decay to 0.07 of their initial values in `total` steps."""
 
     def __init__(self, total):
         self.total, self.done, self.m, self.v, self.counts = total, 0, {}, {}, {}
@@ -181,12 +181,12 @@ class Adam:
 
 
 p = {"c": np.zeros(2)}
-Adam(1).step(p, {"c": np.array([5.0, -0.001])})  # the first step is the rate, however steep
+Adam(1).step(p, {"c": np.array([5.0, -0.001])})  # however steep, the first step is RATES["c"]
 assert np.allclose(p["c"], [-RATES["c"], RATES["c"]])
 
 
 def fit(p, adam, loss, views, steps, rng):
-    """Take steps down a loss(p, view), which returns it, its parts and `back`; one view each."""
+    """Minimise loss(p, view), which returns its value, its parts and `back`; one view a step."""
     losses = []
     for i in range(steps):
         if i % len(views) == 0:
@@ -227,10 +227,10 @@ if SHOW:
 # camera sees it as a splat. All of this, and Eq. (16), is from 3DGS (Kerbl et al. 2023).
 
 # %%
-w, x, y, z = np.eye(4)  # where each number of a quaternion stands in two matrices, with its sign
+w, x, y, z = np.eye(4)  # each entry of `left` and `right` is one number of r, with its sign
 left = np.array([[-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
 right = np.array([[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
-PAIRS = np.einsum("ika,jkb->ijab", left, right)  # of numbers, in every entry of their product
+PAIRS = np.einsum("ika,jkb->ijab", left, right)  # the factor of r[a] r[b] in Q[i, j]
 
 
 def rotation_matrix(r):
@@ -303,8 +303,8 @@ def blur(images):
 def ssim(x, y):  # silent: Q13, the window
     """The structural similarity of x to the truth y, the mean over pixels and channels.
 
-    It compares local means, variances and covariances. Their window, Gaussian and of 11 x 11 pixels
-    with zeros outside the image, is symmetric: the backward of a blur is the same blur.
+    It compares local means, variances and covariances over a Gaussian window of 11 x 11 pixels,
+    with zeros outside the image. It is symmetric, so the backward of a blur is the same blur.
     """
     C_1, C_2 = 0.01**2, 0.03**2
     mu_x, mu_y = blur(x), blur(y)
@@ -347,7 +347,7 @@ def render_loss(gaussians, shot):  # paper, Sec. 3.3: the loss of 3DGS
 
 # %%
 def shots(count, shift):
-    """`count` views (R, T, t, image): in order of time, from up to 52 degrees to either side."""
+    """`count` views (R, T, t, image) in order of time, up to 52 degrees to the left or right."""
     taken = []
     for i in range(count):
         t = (i + shift) / count
@@ -362,14 +362,14 @@ views, unseen = shots(24, 0), shots(8, 0.37)  # unseen: other moments, other cam
 
 
 def normalise(y):
-    """r = y / |y| for every quaternion. A gradient along r would only change the length of y."""
+    """r = y / |y| for every quaternion. A change of y along r leaves r as it is: no gradient."""
     length = np.sqrt((y**2).sum(axis=-1, keepdims=True))
     r = y / length
     return r, lambda bar: (bar - r * (r * bar).sum(axis=-1, keepdims=True)) / length
 
 
 def free(p, t, centers=None):
-    """Gaussians (x, s, r, alpha, c) of 14 free numbers; at rest, or with psi_d (see `moved`)."""
+    """Gaussians (x, s, r, alpha, c) of 14 free numbers: at rest, or moved by psi_d if p has it."""
     r, back_r = normalise(p["r"])
     x, s, alpha, c = p["x"], np.exp(p["log_s"]), sigmoid(p["alpha"]), sigmoid(p["c"])
     at_t, back_moved = (x, s, r), lambda *bars: (*bars, {})
@@ -398,13 +398,13 @@ def free_start(N, rng):
 
 
 def train_free(p, steps, rng):
-    """Train free Gaussians; return what draws them, (R, T, t) -> image."""
+    """Train free Gaussians; return a function that draws them, (R, T, t) -> image."""
     fit(p, Adam(steps), free_loss, views, steps, rng)
     return lambda R, T, t: render(*free(p, t)[0], R, T)[0].clip(0, 1)
 
 
 def psnr(draw, views):
-    """The peak signal-to-noise ratio in dB of what draws pictures, the mean over views."""
+    """The peak signal-to-noise ratio in dB of the pictures of draw(R, T, t), mean over views."""
     errors = [((draw(R, T, t) - image) ** 2).mean() for R, T, t, image in views]
     return float(np.mean(-10 * np.log10(errors)))
 
@@ -418,28 +418,28 @@ if SHOW:
     strip(f"150 Gaussians at rest: {psnr(draw_free, unseen):.1f} dB", shown)
 
 # %% [markdown]
-# This fails in two ways: Gaussians at rest are a smear under pictures of things that move, and each
-# of them pays for 14 numbers, though its neighbours look alike. The paper mends the second first.
+# This fails in two ways. Gaussians at rest can only be a smear of everything that moves, and each
+# of them costs 14 numbers, although its neighbours look alike. We begin with the second fault.
 #
 # ## From anchors to Gaussians: Eqs. (1) to (4)
-# An anchor stores where its children are. Networks predict everything else from `seen`: the
-# anchor's features, and how far away and in which direction the camera sees it. A network is a list
-# `[W0, b0, W1, b1, W2, b2]`: two hidden layers with ReLU, then a linear one. Its outputs can be any
-# numbers, so each attribute has a function that maps them to its range. A child with a negative
-# opacity is not drawn, so the network can switch children on and off.
+# An anchor stores where its children are. Networks predict everything else from `seen`, which is
+# the anchor's features, and how far away and in which direction the camera sees it. A network is a
+# list `[W0, b0, W1, b1, W2, b2]`: two hidden layers with ReLU, then a linear one. Its outputs can
+# be any numbers, so each attribute has a function that maps them to its range. A child with a
+# negative opacity is not drawn, so the network can switch children on and off.
 
 # %%
 A, k, d = 80, 4, 8  # anchors, children of each, features of each; the paper has k = 10, d = 16
 
 
-def offsets(x_a, O, l):  # paper, Sec. 3.2: the only stored places
+def offsets(x_a, O, l):  # paper, Sec. 3.2: O and l are stored, x is not
     """Eq. (1): the centres of the children, x = x_a + O l."""
     x = x_a[:, None] + O * l[:, None]
     # one anchor moves all its children: sum over k
     return x, lambda x_bar: (x_bar.sum(axis=1), x_bar * l[:, None], (x_bar * O).sum(axis=1))
 
 
-def view(x_a, x_c):  # paper, Sec. 3.2; silent: Q22, seen from where the anchor is at rest
+def view(x_a, x_c):  # paper, Sec. 3.2; silent: Q22, the anchor where it is at rest
     """Eq. (2): distance and direction, delta_vc = |x_a - x_c|, d_vc = (x_a - x_c) / delta_vc."""
     away = x_a - x_c
     delta_vc = np.sqrt((away**2).sum(axis=1, keepdims=True))
@@ -469,7 +469,7 @@ def mlp(x, psi):  # paper, Sec. A.1: two hidden layers; silent: Q3, ReLU
     return second @ W2 + b2, back
 
 
-def opacity(seen, psi):  # paper, Sec. 3.2: faint children are not drawn; silent: Q4, tanh
+def opacity(seen, psi):  # paper, Sec. 3.2: alpha < 0 is not drawn; silent: Q4, tanh
     """Eq. (3): alpha = tanh(psi_alpha(f, delta_vc, d_vc)) of every child."""
     y, back_mlp = mlp(seen, psi)
     alpha = np.tanh(y)
@@ -490,7 +490,7 @@ def rotation(seen, psi):  # paper, Sec. 3.2: as opacity; silent: Q4, of length 1
     return r, lambda r_bar: back_mlp(back_normalise(r_bar).reshape(y.shape))
 
 
-def scale(s_a, seen, psi):  # paper, Sec. 3.2: a share of the anchor's own scale
+def scale(s_a, seen, psi):  # paper, Sec. 3.2: a fraction of the anchor's scale
     """Eq. (4): s = s_a sigmoid(psi_s(f, delta_vc, d_vc)) for every child."""
     y, back_mlp = mlp(seen, psi)
     share = sigmoid(y).reshape(len(y), -1, 3)
@@ -646,14 +646,14 @@ if SHOW:
 # %% [markdown]
 # ## The bits: Eqs. (7) to (12) and (14)
 # A number f (the paper's letter for a feature, and here for any number of an anchor) is stored as
-# the integer round(f / q). Nothing can be learned through this staircase, whose slope is 0. But the
-# error of rounding is spread about evenly between -q/2 and q/2. Training therefore adds noise of
-# that kind instead: it degrades the picture as rounding will, and gradients pass.
+# the integer round(f / q). Nothing can be learned through this staircase, whose slope is 0. But
+# errors of rounding are spread about evenly between -q/2 and q/2. Training therefore adds such
+# noise instead of rounding: it degrades the picture in the same way, and gradients pass.
 #
-# Two networks predict the steps q, the means mu and the standard deviations sigma. They read a grid
-# of bits at the anchor's position; networks, positions and grid come first in the file. As psi_q
-# starts near 0, q starts near its group's base step Q_0 (Q6). The paper's Q_0 of f, s, l, O are 1,
-# 0.001, 0.001 and 0.2. Here, finer steps of s and l cost bytes and gain nothing.
+# Two networks predict the steps q, the means mu and the standard deviations sigma from a grid of
+# bits at the anchor's position. The decoder can do so, too: it reads networks, positions and grid
+# first. As psi_q starts near 0, q starts near its group's base step Q_0 (Q6). The paper's Q_0 of f,
+# s, l, O are 1, 0.001, 0.001 and 0.2. Here, finer steps of s and l cost bytes and gain nothing.
 
 # %%
 Q_0 = np.array([0.25, 0.01, 0.01, 0.1])  # base steps of the groups f, s, l, O
@@ -675,12 +675,12 @@ def signs(grid):
     return np.where(grid >= 0, 1.0, -1.0)
 
 
-def hash_grid(x_a, b):  # paper, Sec. 3.3: planes, too; silent: Q11, all sizes
-    """Eq. (9): h [A, F], the signs b of the nodes around every anchor, weighed trilinearly."""
+def hash_grid(x_a, B):  # paper, Sec. 3.3: planes, too; silent: Q11, all sizes
+    """Eq. (9): h [A, F], the signs B of the nodes around every anchor, weighed trilinearly."""
     place = (np.clip(x_a / BOX, -1, 1) + 1) / 2 * (RESOLUTION - 1)
     hat = np.maximum(0, 1 - np.abs(place[:, :, None] - np.arange(RESOLUTION)))
     weights = np.einsum("ai,aj,ak->akji", *hat.transpose(1, 0, 2)).reshape(len(x_a), -1)
-    return weights @ b, lambda h_bar: weights.T @ h_bar
+    return weights @ B, lambda h_bar: weights.T @ h_bar
 
 
 def step(h, psi):  # paper, Sec. 3.3: a step as fine as needed; silent: Q7, q near 0
@@ -719,19 +719,19 @@ def likelihood(f, mu, sigma, q):  # paper, Sec. 3.3: the mass of one bin
     return -np.log2(mass), back
 
 
-def hash_rate(b):  # paper, Sec. 3.3: the grid costs bits, too
-    """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs of the grid, p+ = N+ / (N+ + N-)."""
-    N_plus = (1 + b).sum() / 2
-    p_plus = np.clip(N_plus / b.size, 1e-6, 1 - 1e-6)
-    # A minus that becomes a plus moves N+, and p+ with it. But p+ is the best probability for these
-    # counts, so moving it a little changes nothing, and N+ alone counts.
-    slope = np.log2((1 - p_plus) / p_plus) / 2  # half of it: b moves by 2 where N+ moves by 1
-    hash_bits = -N_plus * np.log2(p_plus) - (b.size - N_plus) * np.log2(1 - p_plus)
-    return hash_bits, lambda bits_bar: np.full_like(b, slope * bits_bar)
+def hash_rate(B):  # paper, Sec. 3.3: the grid costs bits, too
+    """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs B of the grid, p+ = N+ / (N+ + N-)."""
+    N_plus = (1 + B).sum() / 2
+    p_plus = np.clip(N_plus / B.size, 1e-6, 1 - 1e-6)
+    # A minus that becomes a plus changes N+, and p+ with it. But p+ is the best probability for
+    # these counts, so the rate does not change with p+ to first order. Only N+ has a slope.
+    slope = np.log2((1 - p_plus) / p_plus) / 2  # half of it: B changes by 2 where N+ changes by 1
+    hash_bits = -N_plus * np.log2(p_plus) - (B.size - N_plus) * np.log2(1 - p_plus)
+    return hash_bits, lambda bits_bar: np.full_like(B, slope * bits_bar)
 
 
-# Of the deviation 1 and the step 0.1, a number costs log2(sqrt(2 pi) / 0.1) bits at its mean, and
-# log2(sqrt(2 pi e) / 0.1) on average, if it is drawn from its distribution.
+# With sigma = 1 and q = 0.1, a number at its mean costs log2(sqrt(2 pi) / 0.1) bits, and a number
+# that is drawn from its distribution costs log2(sqrt(2 pi e) / 0.1) bits on average.
 drawn, expected = np.random.default_rng(0).normal(size=10**5), np.sqrt(2 * np.pi) / 0.1
 assert np.isclose(likelihood(0, 0, 1, 0.1)[0], np.log2(expected), rtol=0.001)
 assert np.isclose(likelihood(drawn, 0, 1, 0.1)[0].mean(), np.log2(expected * np.sqrt(np.e)), 0.002)
@@ -747,18 +747,18 @@ LAMBDA_RATE = 5e-4
 
 def context(p, sign=signs):
     """Eqs. (8), (9), (12), (14): steps, means and deviations of all numbers, bits of the grid."""
-    b = sign(p["grid"])
-    h, back_h = hash_grid(p["x_a"], b)
+    B = sign(p["grid"])
+    h, back_h = hash_grid(p["x_a"], B)
     q, back_q = step(h, network(p, "psi_q"))
     (mu, sigma), back_prior = prior(h, network(p, "psi_p"))
-    hash_bits, back_hash_rate = hash_rate(b)
+    hash_bits, back_hash_rate = hash_rate(B)
 
     def back(q_bar, mu_bar, sigma_bar, hash_bits_bar):
         h_q, psi_q = back_q(q_bar)
         h_p, psi_p = back_prior(mu_bar, sigma_bar)
-        b_bar = back_h(h_q + h_p) + back_hash_rate(hash_bits_bar)
+        B_bar = back_h(h_q + h_p) + back_hash_rate(hash_bits_bar)
         # Straight-through: as if the sign were the identity from -1 to 1 and constant beyond (Q11).
-        return b_bar * (np.abs(p["grid"]) <= 1), {"psi_q": psi_q, "psi_p": psi_p}
+        return B_bar * (np.abs(p["grid"]) <= 1), {"psi_q": psi_q, "psi_p": psi_p}
 
     return (q, mu, sigma, hash_bits), back
 
@@ -766,8 +766,8 @@ def context(p, sign=signs):
 def loss(p, shot, u, stage, sign=signs, centers=None):  # paper, Sec. 3.3; silent: Q12
     """Eq. (15): L_render + LAMBDA_RATE L_rate for one view, its parts, and the whole backward.
 
-    `back` deliberately differs from the slope at the signs of the grid and at E(x): `check` passes
-    its own `sign`, and the `centers` [N, 3] that E(x) reads.
+    `back` deliberately differs from the true slope in two places: the signs of the grid, and E(x).
+    `check` passes its own `sign` and its own `centers` [N, 3], which E(x) reads in place of x.
     """
     R, T, t, _ = shot
     values = attributes(p)
@@ -783,7 +783,7 @@ def loss(p, shot, u, stage, sign=signs, centers=None):  # paper, Sec. 3.3; silen
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Not counted: the positions, whose bits are fixed, and the networks, stored in float16.
+        # Not counted are positions and networks: their bytes in the file never change.
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():
@@ -822,8 +822,8 @@ def coded_bits(p, values):
     return likelihood(values, mu, sigma, q[:, GROUP])[0].sum(axis=1), hash_bits
 
 
-# Before training sigma is about 1, so an anchor costs some 130 bits, as if its numbers were the
-# means; and half of the grid's signs are positive, so each costs one bit.
+# Before training sigma is about 1, and the numbers are close to their means beside it: an anchor
+# costs some 130 bits. Half of the grid's signs are positive, so each costs one bit.
 p = start(np.random.default_rng(0))
 anchor_bits, hash_bits = coded_bits(p, attributes(p))
 assert abs(anchor_bits.mean() / np.log2(np.sqrt(2 * np.pi) / Q_0[GROUP]).sum() - 1) < 0.1
@@ -831,9 +831,9 @@ assert abs(hash_bits / p["grid"].size - 1) < 0.01
 
 # %% [markdown]
 # ## Checking the gradients
-# Along any direction, the gradient must give the slope of the loss. The check removes the two
-# places where it does not: the grid's parameters replace their signs, and E(x) reads x as it was. A
-# nudge can swap two splats in depth, and the loss jumps; of two nudges, one has to agree.
+# Along any direction, the gradient must give the slope of the loss. Two places differ, so the check
+# uses the grid's parameters in place of their signs, and E(x) reads x from before the nudge. Where
+# a nudge swaps two splats in depth, the loss jumps, so one of two nudges has to agree.
 
 
 # %%
@@ -901,7 +901,7 @@ def on_lattice(integers):
 
 
 def train(views, seed=0, bits=True):  # paper, Sec. 4.1: four stages; silent: Q24
-    """Train; return the parameters, and the first view after each stage. `bits`: noise and rate."""
+    """Train, with noise and rate if `bits`; return p, and the first view after each stage."""
     rng = np.random.default_rng(seed)
     p, adam = start(rng), Adam(STAGE_ENDS[-1])
     frames = [draw(p, attributes(p), *views[0][:3])]
@@ -928,17 +928,17 @@ if SHOW:
 
 # %% [markdown]
 # Stages 1 and 2 leave nearly white pictures, drawn here with four times their contrast. Most pixels
-# are background, so the first 40 steps mainly remove the grey of the untrained Gaussians. More of
-# them would help little: at rest, anchors draw the same smear. Stage 3 therefore begins early.
+# are background, so these 40 steps mainly remove the grey of the untrained Gaussians. More steps
+# would help little: without motion, anchors also draw a smear. Stage 3 therefore begins early.
 #
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol; `cdf` is
 # the distribution of Eq. (11) in these units. Symbol i, the integer lowest + i, owns the numbers
-# from cdf[i] to cdf[i + 1] - 1, its `width`. rANS (Duda 2013) turns all symbols into one large
-# integer, `state`. To add a symbol, it divides the state by the symbol's width: the remainder
-# selects one of its own numbers, the last 24 binary digits of the new state, below the quotient. So
-# a symbol of probability 1/8 adds 3 bits. The decoder looks up who owns the last 24 digits, and
-# undoes the step. Both sides compute the same probabilities in the same floats.
+# from cdf[i] to cdf[i + 1] - 1; their count is its `width`. rANS (Duda 2013) turns all symbols into
+# one large integer, `state`. To add a symbol, it divides the state by the symbol's width. The
+# quotient moves up by 24 binary digits; below it stands one of the symbol's own numbers, which the
+# remainder selects. So a symbol of probability 1/8 adds 3 bits. The decoder looks up who owns the
+# last 24 digits, and undoes the step. Both sides compute the same probabilities in the same floats.
 
 # %%
 UNIT_BITS = 24  # probabilities are multiples of 2^-24
@@ -957,7 +957,7 @@ def rans_decode(data, cdfs):
     """The inverse of `rans_encode`."""
     state, symbols = int.from_bytes(data, "little"), []
     for cdf in cdfs:
-        owned = state % 2**UNIT_BITS  # one of the numbers that the last symbol owns
+        owned = state % 2**UNIT_BITS  # a number that the next symbol owns
         symbol = int(np.searchsorted(cdf, owned, side="right")) - 1
         first, width = int(cdf[symbol]), int(cdf[symbol + 1] - cdf[symbol])
         state = width * (state >> UNIT_BITS) + owned - first
@@ -1026,7 +1026,7 @@ def decode(data):
 
 
 def report(p, file, views, unseen):
-    """Print and return the quality and size of the file; remark on what is odd."""
+    """Print and return the quality and size of the file, and warn if they are implausible."""
     before = psnr(partial(draw, p, attributes(p)), unseen)
     decoded, values = decode(b"".join(file.values()))
     after = psnr(partial(draw, decoded, values), unseen)
@@ -1044,7 +1044,7 @@ def report(p, file, views, unseen):
     return {"before": before, "after": after, "coded": coded, "bits": bits}
 
 
-# Keep nothing but the file, and draw from it views that were not used in training.
+# From here on only the file is used. It draws views that were not used in training.
 if SHOW:
     file = encode(p)
     report(p, file, views, unseen)
@@ -1073,9 +1073,9 @@ if SHOW:
 
 # %%
 def designs(seed):
-    """(name, dB, bytes without networks, Gaussians, bytes of networks) after as many steps each."""
+    """(name, dB, bytes without networks, Gaussians, bytes of networks), trained for 1,300 steps."""
     sizes = [2 * sum(map(np.prod, NETWORKS[name])) for name in NETWORKS]
-    for N in (A * k, 80):  # as many as children, and as many as draw as well as the file
+    for N in (A * k, 80):  # as many as there are children, and 80, which draw as well as the file
         rng = np.random.default_rng(seed)
         p = free_start(N, rng) | random_weights(["psi_d"], rng)
         quality = psnr(train_free(p, STAGE_ENDS[-1], rng), unseen)
@@ -1094,7 +1094,7 @@ def designs(seed):
 
 
 def table(seeds=(0, 1, 2)):
-    """The rows of `designs` as Markdown: means over seeds, and from the least to the greatest."""
+    """The rows of `designs` as Markdown: means over seeds, and ranges over seeds."""
     lines = []
     for rows in zip(*map(designs, seeds)):
         (name, *_), (_, dB, size, N, networks) = rows[0], map(np.array, zip(*rows))
@@ -1111,7 +1111,7 @@ if __name__ == "__main__" and "--table" in sys.argv:
 # ## What each idea buys here, and what is left out
 # Five designs, trained for 1,300 steps each with seeds 0, 1 and 2, as `--table` prints them:
 #
-# | design | dB | of the seeds | bytes without networks | a Gaussian | in all |
+# | design | dB | range | bytes without networks, range | bytes per Gaussian | all bytes |
 # |---|---|---|---|---|---|
 # | 320 free Gaussians and psi_d | 31.1 | 30.2 to 32.0 | 8,960 to 8,960 | 28.0 | 18,196 |
 # | 80 free Gaussians and psi_d | 29.8 | 29.5 to 30.2 | 2,240 to 2,240 | 28.0 | 11,476 |
@@ -1120,10 +1120,10 @@ if __name__ == "__main__" and "--table" in sys.argv:
 # | the file, decoded | 29.2 | 28.3 to 29.8 | 1,447 to 1,614 | 4.9 | 19,442 |
 #
 # Without the networks the ideas pay: a Gaussian costs 28 bytes if it is free, 14.5 as an anchor's
-# child, and 5 in the file. But free ones draw better, 80 of them as well as the file's 320, and in
-# all they are smaller, too: networks are 92 % of the file. The paper names this limit itself; with
-# 80 anchors it is extreme. In its Table 3, prediction takes T-Rex from 56.7 to 7.27 MB, and coding
-# from 5.39 to 0.85: beside some 220,000 Gaussians (our estimate) networks are small.
+# child, and 5 in the file. But free ones draw better, 80 of them as well as the file's 320. With
+# the networks they are also smaller: networks are 92 % of the file. The paper names this limit;
+# with 80 anchors it is extreme. In its Table 3, prediction takes T-Rex from 56.7 to 7.27 MB, and
+# coding from 5.39 to 0.85: beside some 220,000 Gaussians (our estimate) networks are small.
 #
 # The package has what this file leaves out: masks and growing (`training/density.py`); tiles and
 # clamps (`splatting/`); levels, planes and hashing of the grid; an entropy coder in integers, the

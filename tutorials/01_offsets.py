@@ -20,13 +20,15 @@ rng = np.random.default_rng(1)
 
 # %% [markdown]
 # ## What fails without it
-# A free Gaussian stores all of its 59 numbers itself, where it is, how large, how turned, how
-# opaque and how coloured, even if its neighbours lie on the same ball and look nearly the same. A
-# scene needs hundreds of thousands of them: the paper's T-Rex takes 56.7 MB in this way (Table 3).
+# Without anchors, every Gaussian stores 59 numbers of its own: position, size, rotation, opacity
+# and colour. Its neighbours may lie on the same ball and look nearly the same, and still each of
+# them stores 59 more. A scene needs hundreds of thousands of Gaussians: the paper's T-Rex takes
+# 56.7 MB in this way (Table 3).
 #
 # The left side shows the trained scene of `demo.p4dgs` with three of its Gaussians in purple. They
-# belong to *anchor 29*, which we follow from the picture to its bytes through all tutorials, always
-# in this colour. The right side counts what would have to be stored for them.
+# belong to *anchor 29*. All tutorials follow it from the picture to its bytes, always in this
+# colour. The right side counts the numbers of three such Gaussians (above) and those of the anchor
+# (below).
 
 # %%
 from p4dgs_ref.scenes import simulator
@@ -75,7 +77,8 @@ lessons.show(figure, "01_offsets_free")
 
 # %% [markdown]
 # ## Claim
-# P-4DGS never stores Gaussians. It stores *anchors* and predicts a handful of Gaussians from each:
+# P-4DGS stores no Gaussians. It stores *anchors* and predicts a few Gaussians from each, its
+# *children*:
 # $$\{x_0,\dots,x_{k-1}\} = x_a + \{O_0,\dots,O_{k-1}\}\cdot l_a \tag{1}$$
 # Here $x_a$ is the position of the anchor, $l_a$ is a scaling for each axis, and $O_j$ is the
 # learned offset of child $j$, one of $k$ children. The dot multiplies axis by axis. Size, rotation,
@@ -117,10 +120,9 @@ assert np.array_equal(x[0, 0], by_hand)
 
 # %% [markdown]
 # The next cell applies this line to the trained anchors. Anchor 29 sits on the highlight of the red
-# ball, and its children lie around it. A fourth one is not drawn, which is the subject of
-# `03_opacity_and_masking`. The picture shows the *canonical* scene, which has no time yet.
-# [See it move](viewer/demo.html#step=children): the viewer draws the children of each anchor of the
-# demo.
+# ball, and its children lie around it. A fourth child is not drawn; the reason is the subject of
+# `03_opacity_and_masking`. The picture shows the *canonical* scene, which has no time yet. [See it
+# move](viewer/demo.html#step=children): the viewer draws the children of each anchor of the demo.
 
 # %%
 anchors = model.anchors
@@ -161,8 +163,8 @@ assert gradients["l_a"][0, 0] == 6
 
 # %% [markdown]
 # Now the arrays. Each child has its own offset, so $\bar O_{aj} = \bar x_{aj}\,l_a$ keeps all three
-# axes of the array. The position and the scaling are different, because all children of the anchor
-# share them. A number that is used $k$ times receives $k$ gradients, which add up:
+# axes of the array. The position and the scaling are shared by all children of the anchor. A number
+# that is used $k$ times receives $k$ gradients, which add up:
 # $$\bar x_a = \sum_j \bar x_{aj},\qquad \bar l_a = \sum_j O_{aj}\,\bar x_{aj}.$$
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
@@ -230,11 +232,11 @@ print(f"without the sum, the identity is off by {100 * off:.0f} %")
 # ## What a codec does with it
 # The children of an anchor share a position and a scaling, as the pixels of a block of video share
 # one motion vector. The offsets are not shared: they are $3k$ of the $3k + 6$ numbers in Eq. (1).
-# What that costs depends on the rate. In the demo's file they are the largest part of an anchor; in
-# the paper's T-Rex at low rate they take 0.024 MB beside 0.121 MB of positions, and at high rate
-# 0.188 beside 0.118 MB (Table 4). Their range matters: Eq. (1) measures offsets in multiples of
-# $l_a$. A small anchor and a large one of the same shape therefore have the *same* offsets, and one
-# step of rounding is right for both.
+# How many bytes they take depends on how coarsely the file is rounded. In the demo's file they are
+# the largest part of an anchor; in the paper's small file of T-Rex they take 0.024 MB beside 0.121
+# MB of positions, in its large one 0.188 beside 0.118 MB (Table 4). Eq. (1) measures offsets in
+# multiples of $l_a$. A small anchor and a large one of the same shape therefore have the *same*
+# offsets, and one step of rounding is right for both.
 
 # %%
 for k in (4, 10):
@@ -251,9 +253,9 @@ assert close(large, 100 * small)
 # In the paper, anchors in place of free Gaussians take T-Rex from 56.7 to 7.27 MB, 87 percent less
 # (Table 3). Here they take the Gaussians from 198,400 bytes (in a .ply file, each has three unused
 # numbers besides its 59) to 29,403, 85 percent less, but the file only from 2,212,079 to 1,946,560
-# bytes: the network that moves 800 Gaussians (Eq. (5)) has 2 MB on both sides, and T-Rex has some
-# 220,000 Gaussians beside it (inferred from its bytes). Two of our three seeds also lose their
-# quality, because that large network did not learn to move.
+# bytes: nearly 2 MB of both files are the network of Eq. (5), which moves the Gaussians. It moves
+# 800 of them here, and some 220,000 in T-Rex (inferred from its bytes). Two of our three trainings
+# with anchors also draw worse pictures, because this large network did not learn the motion.
 
 # %%
 from tutorials import gains
@@ -270,8 +272,7 @@ gains.show(
 # **In short**
 # - A child's position is that of its anchor plus its offset, in multiples of the anchor's $l_a$.
 # - What all children share gets the sum of their gradients.
-# - The saving is what neighbours have in common; it is a share of the Gaussians, not of the
-#   networks.
+# - Anchors save what neighbouring Gaussians have in common. They do not make the networks smaller.
 #
 # **Often misunderstood**
 # - *The file contains Gaussians.* It contains anchors and networks. The Gaussians are computed anew
@@ -282,8 +283,8 @@ gains.show(
 
 # %% [markdown]
 # ## Exercises
-# Replace each `...` below, then run the cell. Later tutorials also have `raise` lines in place of
-# functions, which they compare with *golden vectors*: inputs and outputs that come with the
+# Replace each `...` below, then run the cell. Later tutorials also ask for functions, whose bodies
+# are `raise` lines; they compare yours with *golden vectors*: inputs and outputs that come with the
 # project. `lessons.hint("01.2")` prints a hint, and a second call prints another one. The last
 # question of a tutorial has no blank: write down what you expect and why, then test it with a few
 # lines of code. The solutions also answer this question.
@@ -296,9 +297,9 @@ gains.show(
 # every child in its place? Give a list of two lists of three numbers.
 #
 # **01.3** ●● Four children of an anchor have the offsets $2, -1, -1, 0$ along x, where $l = 0.5$,
-# and the cotangents $1, 1, -2, 0$. Does descent move the anchor, and does it pull the children
-# together or apart? Give $\bar x_a$, $\bar l$ and the gradient of $\log l$, which Scaffold-GS
-# trains.
+# and the cotangents $1, 1, -2, 0$. Does gradient descent move the anchor, and does it pull the
+# children together or apart? Give $\bar x_a$, $\bar l$ and the gradient of $\log l$, which
+# Scaffold-GS trains.
 #
 # **Predict, then run.** A port keeps all numbers in float16. An anchor is at $x = 1000$, with
 # $l_a = 0.1$. Which of the offsets $1, 2, 3, \dots$ is the first that moves its child?

@@ -22,9 +22,9 @@ rng = np.random.default_rng(2)
 
 # %% [markdown]
 # ## What fails without it
-# A highlight is a mirror image of the lamp, so on a ball at rest it wanders while the camera walks
-# (top). If every spot of the ball has one colour for all cameras, the highlight of the first
-# picture is painted on and turns with the stripes (bottom).
+# A highlight is a mirror image of the lamp, so it wanders over a ball at rest while the camera
+# walks around it (top). If every spot of the ball has one colour for all cameras, the highlight of
+# the first picture is painted on the ball and turns with the stripes (bottom).
 
 # %%
 x, y = np.meshgrid(*2 * [np.linspace(-1.1, 1.1, 220)])
@@ -56,13 +56,13 @@ axes[1, 0].set_ylabel("one colour for all cameras")
 lessons.show(figure, "02_view_ball")
 
 # %% [markdown]
-# 3DGS therefore stores 48 numbers for the colour of each Gaussian, from which it follows for every
-# direction. P-4DGS stores none of them: it tells its networks where the camera is.
+# 3DGS therefore stores 48 numbers for each Gaussian, from which its colour in every direction
+# follows. P-4DGS stores none of them: its networks are told where the camera is.
 
 # %% [markdown]
 # ## Claim
 # Four networks predict the opacities, colours, rotations and scales of the Gaussians. Besides the
-# anchor's feature they see a distance and a direction:
+# anchor's feature they read a distance and a direction:
 # $$\delta_{vc} = \| x_a - x_c \|_2, \quad d_{vc} = \frac{x_a-x_c}{\| x_a - x_c \|_2} \tag{2}$$
 # Here $x_c$ is the position of the camera. The direction points *from the camera to the anchor*.
 
@@ -203,11 +203,11 @@ assert np.array_equal(of_length, d_vc * delta_bar)
 # For the direction we use the quotient rule, then substitute $v = \delta\,d_{vc}$ and $d\delta =
 # d_{vc}\cdot dv$. With $\mathrm{d}d_{vc}$ for the change of the direction,
 # $$\mathrm{d}d_{vc} = \frac{dv}{\delta} - \frac{v\,d\delta}{\delta^2}
-# = \frac{1}{\delta}\bigl(I - d_{vc}d_{vc}^T\bigr)\,dv.$$
-# Here $I$ is the identity and $T$ stands for transposing. The matrix in brackets is a *projector*.
-# It removes the component of $dv$ along $d_{vc}$ and keeps the component perpendicular to it. This
-# makes sense, because a step along the ray does not change the direction in which the anchor is
-# seen.
+# = \frac{1}{\delta}\bigl(dv - d_{vc}\,(d_{vc}\cdot dv)\bigr).$$
+# The brackets remove the component of $dv$ along $d_{vc}$ and keep the component perpendicular to
+# it. This makes sense, because a step along the ray does not change the direction in which the
+# anchor is seen. As a matrix that multiplies $dv$, they are called a *projector*; the next cell
+# computes it.
 
 # %%
 projector = np.eye(3) - d_vc[:, :, None] * d_vc[:, None, :]  # [A, 3, 3]
@@ -219,11 +219,12 @@ predicted = (projector @ step[:, :, None])[:, :, 0] / delta_vc
 assert close((ahead - behind) / 2, predicted, 1e-6)
 
 # %% [markdown]
-# If $dy = M\,dv$, then $\bar y\cdot dy = (M^T\bar y)\cdot dv$. A backward therefore multiplies by
-# the transposed matrix. The projector is its own transpose, so with both outputs together
+# If $dy = M\,dv$, then $\bar y\cdot dy = (M^T\bar y)\cdot dv$, where $T$ stands for transposing. A
+# backward therefore multiplies by the transposed matrix. The projector is its own transpose, so
+# with both outputs together
 # $$\bar x_a = d_{vc}\,\bar\delta_{vc}
 # + \frac{1}{\delta_{vc}}\bigl(\bar d_{vc} - d_{vc}\,(d_{vc}\cdot\bar d_{vc})\bigr).$$
-# The factor $1/\delta_{vc}$ says that the direction to a distant anchor changes slowly. For the
+# Because of the factor $1/\delta_{vc}$, the direction to a distant anchor changes slowly. For the
 # anchor of "By hand", $\bar d_{vc} = (343, 0, 0)$ alone gives $(45, 6, -12)$.
 
 # %%
@@ -361,11 +362,11 @@ print(f"largest change of a direction {turn:.1e} degrees, of a distance {shift:.
 
 # %% [markdown]
 # ## What this idea buys
-# Without the view, trainings of `bouncing` need 37,188 bytes and reach 33.2 to 33.6 dB, with it
-# 38,698 bytes and 33.5 to 33.8 dB, as our record of effects says: 0.3 dB for 1,500 bytes, of which
-# the weights that read the view are 256. It is little, because the balls of this scene are nearly
-# matte. The paper has no row for it. But a colour in 3DGS takes 48 of the 59 numbers of a Gaussian,
-# and these 48 are most of what its Table 3 saves.
+# Without the view, trainings of `bouncing` need 37,188 bytes and reach 33.2 to 33.6 dB; with it
+# they need 38,698 bytes and reach 33.5 to 33.8 dB (our record of effects). These are 0.3 dB for
+# 1,500 bytes, of which 256 are the weights that read the view. It is little, because the balls of
+# this scene are nearly matte. The paper has no number for it. But in 3DGS a colour takes 48 of the
+# 59 numbers of a Gaussian, and these 48 are most of what the paper's Table 3 saves.
 
 # %%
 from tutorials import gains
@@ -381,18 +382,18 @@ gains.show("02_view", here, {}, "effects")
 # **In short**
 # - Light depends on where one looks from, so the networks see distance and direction.
 # - Nothing of Eq. (2) is stored: a decoder knows its camera.
-# - A gradient of the distance points along the ray, one of the direction across it.
+# - The gradient of the distance points along the ray, that of the direction across it.
 #
 # **Often misunderstood**
 # - *An anchor stores a colour.* It stores a feature; the colour is computed for each camera.
-# - *The direction is that of the pixel's ray.* It is that of the anchor. All pixels and all
-#   children of an anchor share it, and all times, too (`Q22`).
+# - *The direction is that of the pixel's ray.* It is the direction to the anchor. All pixels, all
+#   children of the anchor and all times share it (`Q22`).
 # - *Everything must depend on the view.* In the demo only colours do. The paper's networks all see
 #   it; a scene of this project lists what it needs.
 
 # %% [markdown]
 # ## Exercises
-# **02.1** ●● The networks are to see $\ln\delta_{vc}$ in place of $\delta_{vc}$, so that another
+# **02.1** ●● The networks shall read $\ln\delta_{vc}$ in place of $\delta_{vc}$, so that another
 # unit of length only shifts their input. What changes in the gradient? Give $\bar x_a$ `[2, 3]` of
 # the anchor of "By hand" and of one ten times as far from the camera in the same direction, when
 # the logarithm has the cotangent $49$.
@@ -402,8 +403,9 @@ gains.show("02_view", here, {}, "effects")
 #
 # **02.3** ●●● Write its backward: two terms, and zero where the distance is zero.
 #
-# **Predict, then run.** A port computes the distance as the root of the sum of squares, in
-# float16. An anchor is $300$ units away along x. Which distance and which direction does it get?
+# **Predict, then run.** A port (a new implementation) computes the distance in float16, as the root
+# of the sum of squares. An anchor is $300$ units away along x. Which distance and which direction
+# does the port compute?
 
 # %%
 answer_1 = ...
@@ -430,8 +432,8 @@ lessons.check_backward("02.3", my_backward, "view")
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only view` compares what a port wrote. The usual mistake is a
 # direction that points from the anchor *to* the camera. A network that is trained with the wrong
-# sign learns to live with it, so training does not show the mistake. A file from another encoder
-# does, and so does the checker.
+# sign adapts to it, so training does not show the mistake. A file from another encoder shows it,
+# and so does the checker.
 
 
 # %%

@@ -2,8 +2,8 @@
 # # Eq. (3): which Gaussians an anchor shows, and the small network that decides it
 #
 # **Promise.** After this tutorial you can run a multilayer perceptron backward by hand, and explain
-# what a Gaussian that is not drawn can still learn. **Before it:** `01_offsets`, `02_view`.
-# **Takes** four seconds of machine time on two cores, 30 minutes of reading and 35 of exercises.
+# how a Gaussian that is not drawn can come back. **Before it:** `01_offsets`, `02_view`. **Takes**
+# four seconds of machine time on two cores, 30 minutes of reading and 35 of exercises.
 #
 # **Files:** Eq. (3) [opacity.py](../p4dgs_ref/equations/opacity.py),
 # [masking.py](../p4dgs_ref/equations/masking.py), [mlp.py](../p4dgs_ref/equations/mlp.py),
@@ -24,8 +24,8 @@ rng = np.random.default_rng(1103)
 
 # %% [markdown]
 # ## What fails without it
-# Every anchor has $k$ children, whether its place needs one or four, so a cloud has some to spare,
-# and others should be half transparent. If none of them may fade or vanish, all of this shows:
+# Every anchor has $k$ children, whether its place needs one or four. Some children are therefore
+# superfluous, and others should be half transparent. If all of them are drawn opaque, one sees it:
 # flecks on the balls, and bright beams at the edges of the slab.
 
 # %%
@@ -40,7 +40,7 @@ opaque = replace(model, anchors=whole, networks={**model.networks, "psi_alpha": 
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-for ax, (title, shown) in zip(axes, (("the trained scene", model), ("nothing may vanish", opaque))):
+for ax, (title, shown) in zip(axes, (("the trained scene", model), ("all opaque", opaque))):
     show.picture(ax, show.frame(shown, camera, 0.3), camera, title=title, **tour.VIEW)
 lessons.show(figure, "03_opacity_and_masking_cloud")
 
@@ -113,11 +113,12 @@ assert kept_alpha.tolist() == [0.4, 0]
 assert np.array_equal(kept_x, three["x"][0, [0, 2]])
 
 # %% [markdown]
-# Now anchor 29 of the trained scene. Its network gives child 0 the opacity $-0.03$, so the
-# threshold drops it; during training it was so faint for so long that it has also been masked for
-# good. Of all 796 children of the scene, 36 are masked, most of them close to the threshold. In the
-# paper, $\psi_\alpha$ sees the camera, so an anchor may show other children to other cameras. The
-# demo lists only colour as an effect of the view, and its opacities are the same from all sides.
+# Now consider anchor 29 of the trained scene. The network gives its child 0 the opacity $-0.03$, so
+# the threshold drops it. This child was also so faint for so long in training that it has been
+# masked for good. Of all 796 children of the scene, 36 are masked, most of them close to the
+# threshold. In the paper, $\psi_\alpha$ sees the camera, so an anchor may show other children to
+# other cameras. In the demo's scene only colour depends on the view, and opacities are the same
+# from all sides.
 
 # %%
 everyone = replace(model, anchors=whole, design=replace(model.design, tau_alpha=-1.0))
@@ -153,7 +154,7 @@ lessons.finish(
     middle,
     xlabel="child of anchor 29",
     ylabel=r"opacity $\alpha$",
-    title=r"drawn from $\tau_\alpha = 0$ on",
+    title=r"drawn if $\alpha \geq \tau_\alpha = 0$",
 )
 bins = np.linspace(-0.5, 1, 31)
 parts = gaussians.alpha[~masked], gaussians.alpha[masked]
@@ -312,8 +313,9 @@ print(f"the loss changes by {change:.2e}; packed into the first rows, it would b
 # %% [markdown]
 # ## What a codec does with it
 # The file does not contain the opacities. It contains the network, once, in half precision. The
-# next cell counts the network's weights for the paper's sizes. It also computes from how many
-# anchors on the network is cheaper than storing one number in half precision for each Gaussian.
+# next cell counts the network's weights for the paper's sizes, and compares them with the
+# alternative: one opacity in half precision for each Gaussian. The network takes fewer bytes if
+# there are enough anchors.
 
 # %%
 d, k, width = 16, 10, 32
@@ -326,10 +328,10 @@ print(f"the network is cheaper from {count / k:.0f} anchors on")
 
 # %% [markdown]
 # ## What this idea buys
-# Without masks, trainings of `bouncing` give 38,666 bytes in place of 38,649, which is no
-# difference: of four children an anchor keeps 3.8. The paper has no row for it, but says that of
-# ten children 3 to 4 are left. There an anchor would otherwise store 20 useless numbers, and a
-# renderer would sort 6 useless Gaussians.
+# Without masks, trainings of `bouncing` give 38,666 bytes instead of 38,649. This is no difference,
+# because an anchor keeps 3.8 of its four children. The paper has no number for it, but says that of
+# ten children 3 to 4 are left. Without masks, an anchor there would store some 20 useless numbers,
+# and a renderer would sort 6 or 7 useless Gaussians.
 
 # %%
 from tutorials import gains
@@ -341,15 +343,15 @@ gains.show("03_opacity_and_masking", here, {})
 
 # %% [markdown]
 # **In short**
-# - One network, stored once, gives all children of all anchors their opacities.
+# - One network, stored once, computes the opacities of all children of all anchors.
 # - A child below the threshold is not drawn and gets no gradient of its own.
-# - What a parameter does for many, children or rows, comes back as a sum.
+# - A parameter that many rows use receives the sum of their gradients.
 #
 # **Often misunderstood**
-# - *A child below the threshold is deleted.* It comes back as soon as the network says so. Only a
-#   mask is for good.
-# - *Masks are the paper's.* The paper says that $k$ decreases. How, and that the file has a bit for
-#   each child, was chosen here (`Q15`).
+# - *A child below the threshold is deleted.* It comes back as soon as the network gives it a higher
+#   opacity. Only a mask is for good.
+# - *Masks are the paper's.* The paper says that $k$ decreases, but not how. The mask, one bit for
+#   each child in the file, is our choice (`Q15`).
 # - *A negative opacity removes light.* It means nothing but "not drawn".
 
 # %% [markdown]
@@ -358,8 +360,8 @@ gains.show("03_opacity_and_masking", here, {})
 #
 # **03.2** ●● Write Eq. (3), including the network and the $\tanh$.
 #
-# **03.3** ●●● Write the backward of the network for any number of layers. Repeat its forward to
-# find the input of each layer.
+# **03.3** ●●● Write the backward of the network for any number of layers. Repeat its forward first,
+# to have the input of each layer.
 #
 # **03.4** ●● Write the backward of masking. A Boolean array as an index, `zeros[keep] = ...`, does
 # the scattering.

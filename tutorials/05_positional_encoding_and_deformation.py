@@ -2,7 +2,7 @@
 # # Eq. (5): how far every Gaussian has moved at time t
 #
 # **Promise.** After this tutorial you can encode a number as waves, derive the gradient of the
-# encoding, and explain why the pipeline does not use it. **Before it:** `01_offsets`,
+# encoding, and explain why training does not use it. **Before it:** `01_offsets`,
 # `03_opacity_and_masking`. **Takes** ten seconds of machine time on two cores, 30 minutes of
 # reading and 35 of exercises.
 #
@@ -24,10 +24,10 @@ rng = np.random.default_rng(5)
 
 # %% [markdown]
 # ## What fails without it
-# A network is to move all Gaussians of the trained scene, and it may read no more than their
-# position and the time. If it reads the numbers as they are, it learns smooth motions first, and
-# after 300 steps the balls drag their neighbourhood along and are eggs; if it reads them as waves,
-# it tells a ball from the slab after as many steps.
+# A network shall move all Gaussians of the trained scene, and all that it reads is their position
+# and the time. If it reads these numbers as they are, it learns smooth motions first: after 300
+# steps, neighbours of different objects still move alike, and the balls lose their shape (middle).
+# If it reads the numbers as waves, it can tell a ball from the slab after as many steps (right).
 
 # %%
 from p4dgs_ref.equations import deformation
@@ -89,10 +89,10 @@ lessons.show(figure, "05_positional_encoding_and_deformation_raw")
 # canonical space:
 # $$(\Delta x, \Delta s, \Delta r) = \psi_d(\mathrm{concat}(\mathcal{E}(x), \mathcal{E}(t)))
 # \tag{5}$$
-# Here $x$ is the canonical position of a Gaussian, $s$ is its size, $r$ its rotation, $t$ is the
+# Here $x$ is the canonical position of a Gaussian, $s$ is its size, $r$ is its rotation, $t$ is the
 # time, and $\mathcal{E}$ is the positional encoding. The paper does not print $\mathcal{E}$. This
-# project uses the one of `D3DGS`, on which the paper builds: the number itself, then waves of
-# a number $L$ of frequencies, each twice the one before, without a factor $\pi$:
+# project uses that of `D3DGS`, on which the paper builds: the number itself, and then its sine and
+# cosine at a number $L$ of frequencies, each twice the one before, without a factor $\pi$:
 # $$\mathcal{E}(p) = (p, \sin 2^0 p, \cos 2^0 p, \dots, \sin 2^{L-1} p, \cos 2^{L-1} p)$$
 
 # %% [markdown]
@@ -109,10 +109,10 @@ E, _ = positional_encoding.forward(quarter, 2)
 assert close(E, [[np.pi / 2, 1, 0, 0, -1]])
 
 # %% [markdown]
-# A field by hand has no hidden layer, one frequency for the time and none for the position. All
-# weights are zero except one: the weight from $\sin t$ to the first axis of $\Delta x$, which is
-# 0.5. Every Gaussian then swings along x. At $t = \pi/2$ it stands 0.5 away from its canonical
-# position, with its scale and rotation unchanged.
+# Now a field $\psi_d$ by hand. It has no hidden layer, one frequency for the time and none for the
+# position. All weights are zero except one: the weight from $\sin t$ to the first axis of $\Delta
+# x$, which is 0.5. Every Gaussian then swings along x. At $t = \pi/2$ it stands 0.5 away from its
+# canonical position, with its scale and rotation unchanged.
 
 # %%
 columns = 3 + 3  # E(x) with L_x = 0 is x itself; E(t) with L_t = 1 is t, sin t, cos t
@@ -245,10 +245,11 @@ lessons.show(figure, "05_positional_encoding_and_deformation")
 
 # %% [markdown]
 # ## Backward by hand
-# **The encoding.** For one number and one frequency, let $s_j = \sin 2^j p$ and $c_j = \cos 2^j p$.
-# Then $ds_j = 2^j c_j\,dp$ and $dc_j = -2^j s_j\,dp$. The number is used $1 + 2L$ times, so it
-# receives as many gradients:
-# $$\bar p = \bar p_{raw} + \sum_{j=0}^{L-1} 2^j\,(c_j\,\bar s_j - s_j\,\bar c_j)$$
+# **The encoding.** For one number, let $\sin_j = \sin 2^j p$ and $\cos_j = \cos 2^j p$. Then
+# $d\sin_j = 2^j \cos_j\,dp$ and $d\cos_j = -2^j \sin_j\,dp$. The number is used $1 + 2L$ times, so
+# it receives as many gradients:
+# $$\bar p = \bar p_{raw}
+# + \sum_{j=0}^{L-1} 2^j\,(\cos_j\,\overline{\sin_j} - \sin_j\,\overline{\cos_j})$$
 
 # %%
 L = 3
@@ -259,9 +260,9 @@ E_bar = random_like(rng, E)
 raw_bar, *wave_bars = E_bar[0]
 p_bar = raw_bar
 for j in range(L):
-    s_bar, c_bar = wave_bars[2 * j : 2 * j + 2]
-    s, c = np.sin(2**j * p), np.cos(2**j * p)
-    p_bar += 2**j * (c * s_bar - s * c_bar)
+    sin_bar, cos_bar = wave_bars[2 * j : 2 * j + 2]
+    sin, cos = np.sin(2**j * p), np.cos(2**j * p)
+    p_bar += 2**j * (cos * sin_bar - sin * cos_bar)
 ours = positional_encoding.backward(saved, E_bar)["p"]
 assert close(ours, p_bar)
 up, _ = positional_encoding.forward(p + epsilon, L)
@@ -289,22 +290,22 @@ N, D, L = 5, 3, 4
 x = rng.normal(size=(N, D))
 E, saved = positional_encoding.forward(x, L)
 E_bar = rng.normal(size=E.shape)
-s, c = waves_of(E, D)
-s_bar, c_bar = waves_of(E_bar, D)
-assert np.array_equal(s[2], np.sin(4 * x))
-assert np.array_equal(c[3], np.cos(8 * x))
+sin, cos = waves_of(E, D)
+sin_bar, cos_bar = waves_of(E_bar, D)
+assert np.array_equal(sin[2], np.sin(4 * x))
+assert np.array_equal(cos[3], np.cos(8 * x))
 x_bar = E_bar[:, :D].copy()
 for j in range(L):
-    x_bar += 2**j * (c[j] * s_bar[j] - s[j] * c_bar[j])
+    x_bar += 2**j * (cos[j] * sin_bar[j] - sin[j] * cos_bar[j])
 ours = positional_encoding.backward(saved, E_bar)["p"]
 assert close(ours, x_bar)
 
 # %% [markdown]
-# **The field** is the network of `03_opacity_and_masking` with two differences. First, three heads
-# are one last layer with three groups of columns, so their cotangents stand side by side and the
-# gradients of the weights are cut apart. Second, all $N$ rows have the same $\mathcal{E}(t)$ in the
-# first layer. Let $y_n$ be the output of the first layer for row $n$, before its ReLU. The rows of
-# weights that read $\mathcal{E}(t)$ then receive an outer product:
+# **The field** is the network of `03_opacity_and_masking` with two differences. First, the three
+# heads together are one last layer with three groups of columns: their cotangents are put side by
+# side, and the gradient of that layer's weights is cut into three. Second, all $N$ rows have the
+# same $\mathcal{E}(t)$ in the first layer. Let $y_n$ be the output of the first layer for row $n$,
+# before its ReLU. The rows of weights that read $\mathcal{E}(t)$ then receive an outer product:
 # $$\bar W_t = \mathcal{E}(t)^T \sum_n \bar y_n = \mathcal{E}(t)^T\,\bar b$$
 
 # %%
@@ -333,9 +334,9 @@ assert close(ours["x"], x_bar, 1e-11)
 # **Where the pipeline stops (`Q10`).** The equation has the gradient of $x$ that we just computed.
 # The pipeline, like `D3DGS`, does not use it. With `needs_x=False`, the backward stops at
 # $\mathcal{E}(x)$. The canonical position still learns, because $x' = x + \Delta x$ depends on it
-# directly, with slope one. In the cell below, `frozen` is the slope of the loss if the field still
-# sees the old position, which is what the pipeline uses. `full` is the slope if the field sees the
-# moved position as well.
+# directly, with slope one. The cell below moves all positions and computes two slopes of the loss.
+# For `frozen`, which the pipeline uses, the field still reads the old positions. For `full`, it
+# reads the moved ones.
 
 
 # %%
@@ -367,11 +368,11 @@ assert close(full, inner(x_t_bar + through_field, arrow), 1e-6)
 
 # %% [markdown]
 # Why not use the full gradient? Each wave multiplies the gradient that passes through it by $2^j$.
-# With ten frequencies and weights drawn at random, as training begins with them, what comes through
-# the field is far larger than the direct gradient, and the slope of its fastest wave changes its
-# sign every $\pi/2^9$ scene units. Such a gradient says little about where the Gaussian should go.
-# In the demo, which has four frequencies and is trained, what comes through the field is 7 percent
-# of the direct gradient.
+# At the beginning of training, with ten frequencies and random weights, the gradient through the
+# field is far larger than the direct one, and the slope of the fastest wave changes its sign every
+# $\pi/2^9$ scene units. Such a gradient says little about where the Gaussian should go. In the
+# demo, which has four frequencies and is trained, the gradient through the field is 7 percent of
+# the direct one.
 
 # %%
 L_x, N = 10, 400
@@ -392,15 +393,15 @@ print(f"direct 1, through the field at first {at_first:.0f}, in the demo {rms(of
 # %% [markdown]
 # ## Break it
 # Suppose we forget the factor $2^j$ in the backward of $\mathcal{E}$. The forward is right, the
-# shapes are right, and the first wave is right. Since the pipeline never asks for this gradient, no
+# shapes are right, and the first wave is right. Since the pipeline never uses this gradient, no
 # training run can show the mistake. The adjoint identity of the equation does.
 
 # %%
 E, saved_x = positional_encoding.forward(x, L_x)
-s, c = waves_of(E, 3)
+sin, cos = waves_of(E, 3)
 E_bar = rng.normal(size=E.shape)
-s_bar, c_bar = waves_of(E_bar, 3)
-slopes = c * s_bar - s * c_bar
+sin_bar, cos_bar = waves_of(E_bar, 3)
+slopes = cos * sin_bar - sin * cos_bar
 broken = E_bar[:, :3] + slopes.sum(axis=0)
 right = positional_encoding.backward(saved_x, E_bar)["p"]
 arrow = rng.normal(size=x.shape)
@@ -428,10 +429,10 @@ print(f"ten numbers for 20,000 Gaussians at 100 times would take {2 * 10 * 20_00
 
 # %% [markdown]
 # ## What this idea buys
-# Without $\psi_d$, trainings of `bouncing` give 24,934 bytes and 19.6 to 20.3 dB, with it 38,649
-# bytes and 33.5 to 34.2 dB: a third of the file is motion, and without it the balls are a smear. In
-# the paper it is half of T-Rex at low rate. Our share is not much smaller: our field is small
-# (13,446 bytes), and so is our scene.
+# Without $\psi_d$, trainings of `bouncing` give 24,934 bytes and 19.6 to 20.3 dB; with it they give
+# 38,649 bytes and 33.5 to 34.2 dB. Motion is a third of the file, and without it the balls are a
+# smear. In the smaller of the paper's two files of T-Rex it is half. Our share is similar, because
+# our field (13,446 bytes) and our scene are both small.
 
 # %%
 from tutorials import gains
@@ -441,25 +442,27 @@ assert [round(gains.mean(label)) for label in here.values()] == [24_934, 38_649]
 gains.show(
     "05_positional_encoding_and_deformation",
     here,
-    {"T-Rex, low rate": (0.506, "Table 4"), "of it the field": (0.241, "47.6 %")},
+    {"the smaller file": (0.506, "Table 4"), "its field": (0.241, "47.6 %")},
 )
 
 # %% [markdown]
 # **In short**
-# - One network moves every Gaussian at every time; time costs no bytes, and the network many.
+# - One network moves every Gaussian at every time. More frames cost no bytes, but the network costs
+#   many.
 # - It reads positions and times as waves, so that neighbours can move differently.
-# - The pipeline sends no gradient through $\mathcal{E}(x)$ (`Q10`); the equation has it.
+# - The equation has a gradient through $\mathcal{E}(x)$; the pipeline does not use it (`Q10`).
 #
 # **Often misunderstood**
-# - *The file stores a path for every Gaussian.* It stores one network; a path is what it answers.
+# - *The file stores a path for every Gaussian.* It stores one network, which computes the paths.
 # - *The canonical scene is the first frame.* It is no frame at all, and no picture ever shows it.
 # - *More frequencies are better.* They can follow sharper motion, and they also fit noise.
 
 # %% [markdown]
 # ## Exercises
-# **05.1** ●● A camera's clock may be wrong, so the time of its picture becomes a parameter $t$, and
-# three Gaussians share it. Every row has its own copy of $\mathcal{E}(t)$, and all cotangents are
-# one. What changes in the gradient? Give $\bar t$ at $t = 0$ with $2$ and with $10$ frequencies.
+# **05.1** ●● A camera's clock may be wrong, so the time $t$ of its picture becomes a parameter that
+# is learned. Three Gaussians share it: each has its own row with a copy of $\mathcal{E}(t)$, and
+# the cotangents of all entries are one. Give $\bar t$ at $t = 0$ with $2$ and with $10$
+# frequencies.
 #
 # **05.2** ●● Write the backward of $\mathcal{E}$ for vectors.
 #
@@ -497,10 +500,10 @@ lessons.check_forward("05.3", my_deformation, "deformation")
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only deformation` compares what a port wrote, and the same works
-# with `positional_encoding`. The usual mistake is another order of the columns, for example sine
-# and cosine in turn. A port that trains its own weights cannot notice this, because it is the same
-# network with the rows of its first weight permuted. But if it reads a file of this project, every
-# Gaussian moves to the wrong place.
+# with `positional_encoding`. The usual mistake is another order of the columns, for example the
+# sine and cosine of one number side by side. A port that trains its own weights cannot notice this,
+# because its network is the same, with the rows of the first weight matrix in another order. But if
+# it reads a file of this project, every Gaussian moves to the wrong place.
 
 
 # %%

@@ -24,13 +24,13 @@ rng = np.random.default_rng(7)
 
 # %% [markdown]
 # ## What fails without it
-# A file holds integers, so every number is rounded to a multiple of a step, and the picture then
-# answers to it like a staircase (red): flat nearly everywhere, so that no gradient says where to
-# go. Training without any rounding (grey) has slopes, but it never learns that numbers close to a
-# tie will move by half a step.
+# A file holds integers, so every number is rounded to a multiple of a step. The picture as a
+# function of such a number is then a staircase (red): flat nearly everywhere, so that no gradient
+# says in which direction the number should go. Training without any rounding (grey) has slopes, but
+# it never learns that the file will move numbers by up to half a step.
 #
 # The curves move one number of anchor 29, its fifth feature, and measure how far the picture of the
-# trained scene changes. The blue curve is the paper's way out, which this tutorial explains.
+# trained scene changes. The blue curve is the paper's solution, which this tutorial explains.
 
 # %%
 from p4dgs_ref.scenes import simulator
@@ -91,8 +91,8 @@ lessons.show(figure, "07_noise_and_rounding_staircase")
 # nearest integer is 1, so the file contains the symbol 1 and the decoder obtains 0.25.
 #
 # Halfway between two integers the rule is *ties to even*: the quotients 0.5, 1.5 and 2.5 are
-# rounded to 0, 2 and 2. The function `np.rint` follows this rule, which treats positive and
-# negative numbers alike. Over many ties, its errors cancel on average.
+# rounded to 0, 2 and 2. The function `np.rint` follows this rule. It treats positive and negative
+# numbers alike, and the errors of many ties cancel on average.
 
 # %%
 from p4dgs_ref.equations import noise, rounding
@@ -108,10 +108,10 @@ assert symbols.tolist() == [[-2, 0, 0, 2, 2]]
 
 # %% [markdown]
 # ## In code
-# For $A$ anchors and the $n$ numbers of one attribute the shapes are `f [A, n]`, `u [A, n]` and
-# `q [A, 1]`, because each anchor has one step per attribute. Eq. (7) is `f + u * q`. Eq. (10) has
-# *two* outputs: the integers `symbols [A, n]`, and `f_hat = symbols * q`. Both errors are at most
-# half a step.
+# For $A$ anchors and the $n$ numbers of one attribute the shapes are `f [A, n]`, `u [A, n]` and `q
+# [A, 1]`, because each anchor has one step per attribute. Eq. (7) is `f + u * q`. Eq. (10) has
+# *two* outputs: the integers `symbols [A, n]`, and `f_hat = symbols * q`. Noise and rounding both
+# change a number by at most half a step.
 
 # %%
 A, n = 5, 3
@@ -168,10 +168,10 @@ assert np.abs(share_of_rounded - mass(multiples)).max() < 0.004
 assert np.abs(step * density_of_noisy - mass(multiples)).max() < 0.01
 
 # %% [markdown]
-# The two errors also have the same size, $q/\sqrt{12}$, because the mean of $u^2$ is
-# $\int_{-1/2}^{1/2} u^2 du = 1/12$. This holds as long as $\phi$ is wider than the step. If $\phi$
-# is narrower, the two errors differ: values that are concentrated around a multiple of $q$ lose
-# less by rounding, and values that are concentrated around a tie lose more, up to $q/2$.
+# The errors of noise and of rounding also have the same size, $q/\sqrt{12}$, because the mean of
+# $u^2$ is $\int_{-1/2}^{1/2} u^2 du = 1/12$. This holds as long as $\phi$ is wider than the step.
+# If $\phi$ is narrower, the two errors differ: values that are concentrated around a multiple of
+# $q$ lose less by rounding, and values that are concentrated around a tie lose more, up to $q/2$.
 
 
 # %%
@@ -184,10 +184,10 @@ assert rms(np.rint(narrow + 0.5) - narrow - 0.5) > 0.49  # around a tie
 
 # %% [markdown]
 # Now the numbers of anchor 29. On the left are its 16 features as the file has them, each an
-# integer times $q$; the bars are where noise moves them in training. On the right is the
-# distribution that the context predicts for one of them (`10_prior_and_likelihood`), averaged over
-# a step: the curve for noisy values passes through the probabilities of all rounded ones. The file
-# has 7 (purple).
+# integer times $q$; a grey bar shows how far noise moves it in training. On the right is the
+# distribution that the decoder predicts for the fifth of them (`10_prior_and_likelihood`), averaged
+# over a step: the curve for noisy values passes through the probabilities of all rounded ones. The
+# integer in the file is 7 (purple).
 
 # %%
 mean, deviation = context.mu[0, 4], context.sigma[0, 4]
@@ -255,8 +255,8 @@ assert close(difference, inner(ours, tangents))
 # \int_{f-\frac{1}{2}q}^{f+\frac{1}{2}q} \frac{d\mathcal{L}}{df}(x)\,dx
 # = \frac{\mathcal{L}(f+\frac{1}{2}q) - \mathcal{L}(f-\frac{1}{2}q)}{q}
 # = \frac{d}{df}E_u\bigl[\mathcal{L}(f+uq)\bigr]$$
-# On average the gradient is therefore that of a loss smoothed over one step, and the gradient of a
-# single draw is an unbiased estimate of it.
+# On average the gradient is therefore that of a loss that is smoothed over one step. The gradient
+# of a single draw is an unbiased estimate of it.
 
 
 # %%
@@ -274,9 +274,9 @@ slope_of_smoothed = (loss(0.8 + step / 2) - loss(0.8 - step / 2)) / step
 assert abs(mean_slope - slope_of_smoothed) < 1e-6
 
 # %% [markdown]
-# This is the blue curve of the first figure. Rounding, on the other hand, is a staircase. Its slope
-# is 0 on every tread and does not exist at the edges. The backward of rounding returns an empty
-# dictionary, and the table of equations lists no gradients for it.
+# The smoothed loss is the blue curve of the first figure. Rounding, on the other hand, is a
+# staircase. Its slope is 0 on every tread and does not exist at the edges. The backward of rounding
+# returns an empty dictionary, and the table of equations lists no gradients for it.
 
 # %%
 from p4dgs_ref import EQUATIONS
@@ -295,8 +295,8 @@ assert np.array_equal(after_a_small_step, f_hat)
 #
 # With straight-through, the parameter ends at 0.5, the edge between two treads of the staircase,
 # and its symbol keeps changing between 0 and 1. With noise, the parameter ends near 0.3, and its
-# symbol stays 0. The paper uses noise here. Straight-through returns in `09_hash_grid`, where a
-# noisy value would no longer be binary.
+# symbol stays 0. The paper uses noise here. Straight-through is used in `09_hash_grid`, whose
+# values are $+1$ or $-1$ and must stay so, which noise would prevent.
 
 
 # %%
@@ -323,7 +323,7 @@ assert set(np.rint(with_noise)) == {0}
 # ## Break it
 # `floor(x + 0.5)` looks like rounding, and on random values it gives the same result. But it always
 # rounds ties up. Moreover, for the largest float below 0.5 it gives 1, because the sum itself is
-# rounded to 1. Two encoders, one with each rule, write different files for the same model.
+# rounded to 1. Two encoders with different rules write different files for the same model.
 
 # %%
 x = 5 * rng.normal(size=100_000)
@@ -374,10 +374,11 @@ assert abs(squared_error[0.25] / squared_error[0.125] - 4) < 0.05
 
 # %% [markdown]
 # ## What this idea buys
-# Quantisation and entropy coding take T-Rex from 5.39 to 0.85 MB, 84 percent less, for 0.1 dB
-# (Table 3). Here they take 76,590 to 38,649 bytes, for 0.4 dB: of the anchors' 29,551 bytes 4,569
-# are left, 85 percent less. But networks are most of the file, and they are not coded: they take
-# 45,366 bytes before, in float32 except $\psi_d$, and 33,652 afterwards, all in float16.
+# Quantisation and entropy coding take T-Rex from 5.39 to 0.85 MB, 84 percent less, and cost 0.1 dB
+# (Table 3). Here the file shrinks from 76,590 to 38,649 bytes and loses 0.4 dB. The anchors shrink
+# from 29,551 to 4,569 bytes, 85 percent less. But networks are most of the file, and they are not
+# entropy coded: they take 45,366 bytes before, in float32 except $\psi_d$, and 33,652 afterwards,
+# all in float16.
 
 # %%
 from tutorials import gains
@@ -394,25 +395,25 @@ gains.show(
 # %% [markdown]
 # **In short**
 # - The file holds symbols; a decoder multiplies them by $q$.
-# - Noise as wide as a step stands for rounding while training, and has a gradient.
-# - Its density passes through the probabilities of all rounded values.
+# - In training, noise as wide as a step takes the place of rounding, and gradients pass through it.
+# - The density of noisy values passes through the probabilities of all rounded values.
 #
 # **Often misunderstood**
 # - *Less noise is better.* Noise that is narrower than a step trains a model for a finer file than
-#   the one that is written; without any, picture 10 of the tour loses 2 dB.
+#   the one that is written; without any noise, picture 10 of the tour loses 2 dB.
 # - *The decoder adds noise.* It multiplies, and everybody decodes the same numbers.
-# - *Rounding makes the file small.* It makes numbers equal; what makes them short is that the
-#   likely ones get few bits (`10_prior_and_likelihood`).
+# - *Rounding makes the file small.* Rounding makes many numbers equal. The file becomes small
+#   because likely numbers get few bits (`10_prior_and_likelihood`).
 
 # %% [markdown]
 # ## Exercises
 # **07.1** ● What are the symbols of $0.625$, $0.375$, $-0.875$ and $-0.45$ with the step $0.25$?
 # Give a list of four integers.
 #
-# **07.2** ●● A port rounds in training too, and the gradient passes straight through `rint` as if
-# its slope were one. What changes in the gradient? The numbers are $0.6$, $0.4$, $-0.9$ and $-0.45$
-# with the shared step $0.25$, and all cotangents are one. Give $\bar q$ as this port computes it,
-# and the slope of $q\,\mathrm{rint}(f/q)$ in $q$ that differences find.
+# **07.2** ●● A port rounds in training too, and its backward treats `rint` as if its slope were
+# one. The numbers are $0.6$, $0.4$, $-0.9$ and $-0.45$ with the shared step $0.25$, and all
+# cotangents are one. Give $\bar q$ as this port computes it, and the true slope in $q$ of the sum
+# of all $q\,\mathrm{rint}(f/q)$, as finite differences find it.
 #
 # **07.3** ●● One number $f = 2$ has the step $q = 0.6$ and the loss $\mathcal{L} =
 # \frac{1}{2}\tilde f^2$, so $\bar{\tilde f} = \tilde f$. Will descent widen or narrow the step?
@@ -447,7 +448,7 @@ assert oracle.check(EQUATIONS["rounding"], "rounding_ties").ok
 # The symbols are the primary output. A decoder multiplies and never rounds, so it cannot disagree
 # with the encoder. The code divides in `float64` regardless of the precision of the inputs. In
 # `float32` the quotient itself is rounded, and the result can be a tie although the exact quotient
-# is not. The next cell finds such values.
+# is not one. The next cell finds such values.
 
 # %%
 values = rng.uniform(0.5, 40, 2_000_000).astype(np.float32)

@@ -2,7 +2,7 @@
 # # Eq. (8): a quantisation step for every anchor
 #
 # **Promise.** After this tutorial you can say why every anchor has its own quantisation step,
-# compute it and its gradient by hand, and tell how much this does and does not gain. **Before it:**
+# compute it and its gradient by hand, and say how much it gains. **Before it:**
 # `03_opacity_and_masking` for networks, `07_noise_and_rounding`. **Takes** ten seconds of machine
 # time on two cores, 25 minutes of reading and 25 of exercises.
 #
@@ -26,12 +26,12 @@ rng = np.random.default_rng(8)
 # %% [markdown]
 # ## What fails without it
 # One step for all anchors is too coarse for some of them and too fine for others: a coarse step
-# damages what is seen, and a fine one spends bits on what is not. The same rounding error does not
-# matter equally everywhere.
+# damages anchors that are seen well, and a fine one spends bits on anchors that are hardly seen.
 #
 # The left side shows the scene of `demo.p4dgs` with all features rounded to one coarse step, 2. For
-# the right side, the features of one anchor at a time were rounded to it. The dots are the squared
-# errors that this causes in the picture, in order; *anchor 29* is purple, as in all tutorials.
+# the right side, only the features of one anchor were rounded to it, one anchor after another. A
+# dot is the squared error in the picture that one anchor causes; the dots are sorted by it. *Anchor
+# 29* is purple, as in all tutorials.
 
 # %%
 model, camera, thread = tour.MODEL, tour.CAMERA, lessons.THREAD
@@ -66,7 +66,7 @@ lessons.show(figure, "08_step_one_for_all")
 
 # %% [markdown]
 # ## Claim
-# A network therefore reads the context $h$ of the anchor and scales a base step $Q_0$:
+# A network $\psi_q$ therefore reads the context $h$ of the anchor and scales a base step $Q_0$:
 # $$q = Q_0\cdot\left(1+\tanh(\psi_q(h))\right) \tag{8}$$
 # The context is a row of numbers that is looked up at the anchor's position, which is the subject
 # of `09_hash_grid`. Here any numbers will do. The step $q$ lies between $0$ and $2Q_0$, and the
@@ -95,9 +95,9 @@ assert close(2 * sigmoid(2 * psi), 1 + np.tanh(psi))
 # `h [A, I]` goes through $\psi_q$, a network with four outputs. `Q_0 [4]` has one base step for
 # each group of attributes, in the order feature, scale, offset scaling, offsets (f, s, l, O). The
 # paper's appendix sets them to 1, 0.001, 0.001 and 0.2; the preset `tiny` has 0.25, 0.01, 0.01 and
-# 0.1. On a tiny scene, the paper's finer steps of $s_a$ and $l_a$ cost bytes and gain nothing, and
-# the other two hardly matter (`reference.md` has the figures under choice Q6). The result is
-# `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
+# 0.1. On a tiny scene, the paper's finer steps of $s_a$ and $l_a$ cost bytes and gain nothing; its
+# coarser steps of the other two hardly matter (`reference.md` has the figures under choice Q6). The
+# result is `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
 
 # %%
 from p4dgs_ref.equations import mlp, rounding, step
@@ -117,9 +117,10 @@ assert q.shape == (A, 4)
 assert close(q, Q_0 * (1 + np.tanh(psi_q)))
 
 # %% [markdown]
-# In the demo's file, anchor 29 has these four steps: fine ones for features, offset scaling and
-# offsets, and almost the widest possible one for its scale. The curve ends on the left at a *floor*
-# (choice `Q7`), $q \ge 2^{-10} Q_0$, so that the quotient $f/q$ of Eq. (10) stays finite.
+# The next cell prints the four steps of anchor 29 in the demo's file: fine ones for features,
+# offset scaling and offsets, and almost the widest possible one for its scale. The curve ends on
+# the left at a *floor* (choice `Q7`), $q \ge 2^{-10} Q_0$, so that the quotient $f/q$ of Eq. (10)
+# stays finite.
 
 # %%
 from p4dgs_ref.report.inspect import float_context
@@ -215,11 +216,12 @@ lessons.caught(half_argument, "step", "2 psi_q")
 # A video encoder changes its quantisation parameter from block to block and sends the changes. Here
 # nothing is sent, because the decoder and the encoder both compute $q$ from the grid.
 #
-# Where did training put the coarse steps? Nothing in Eq. (8) says that they belong where nobody
-# looks, but the loss rewards it. The cell counts in how many of the 48 training pictures an anchor
-# is seen: in those in which its Gaussians fill more than a quarter of a pixel. How many pixels a
-# Gaussian fills is the gradient of the sum of all pixels with respect to its colour.
-# [See it move](viewer/demo.html#step=steps): the demo with coarser and coarser steps.
+# Where did training put the coarse steps? The loss rewards coarse steps for anchors that are seldom
+# seen, although nothing in Eq. (8) says so. The cell counts in how many of the 48 training pictures
+# an anchor is seen, which means that its Gaussians together fill more than a quarter of a pixel.
+# The number of pixels that a Gaussian fills is the gradient of the sum of all pixels with respect
+# to its colour. [See it move](viewer/demo.html#step=steps): the demo with coarser and coarser
+# steps.
 
 # %%
 from scipy.stats import spearmanr
@@ -253,9 +255,10 @@ for ax, group, name in zip(panels, (0, 3), ("features", "offsets")):
 lessons.show(figure, "08_step_seen")
 
 # %% [markdown]
-# The steps of features, offset scaling and offsets are wider where an anchor is seldom seen, by a
-# factor of 1.2 to 1.5 between the least and the most seen quarter. This is a tendency with many
-# exceptions. The steps of scales show none: nearly all of them are at their limit, $2Q_0$.
+# The steps of features, offset scaling and offsets are wider where an anchor is seldom seen: in the
+# quarter of anchors that is seen least they are 1.2 to 1.5 times as wide as in the quarter that is
+# seen most. This is a tendency with many exceptions. The steps of scales show no tendency: nearly
+# all of them are at their limit, $2Q_0$.
 
 # %% [markdown]
 # ## What this idea buys
@@ -277,11 +280,12 @@ gains.show("08_step", rows, {})
 # - The step of every anchor and group is read from the context, between 0 and $2Q_0$; it is $Q_0$
 #   where $\psi_q = 0$.
 # - No bit is spent on steps: both sides compute them.
-# - Training widens the steps of what is seldom seen a little, by 1.2 to 1.5 times here.
+# - Training makes the steps of anchors that are seldom seen somewhat wider, here 1.2 to 1.5 times
+#   as wide.
 #
 # **Often misunderstood**
-# - *Steps become wide where nobody sees the difference.* There is a tendency, and no more: $\psi_q$
-#   sees only the context, which neighbours share.
+# - *Steps become wide where nobody sees the difference.* This is only a tendency: $\psi_q$ reads
+#   only the context, which neighbours share.
 # - *$Q_0$ is the step.* It is the middle of the range. If many steps are at $2Q_0$, as those of
 #   scales are here, a larger $Q_0$ is worth a try.
 # - *A smaller step is always better.* Halving it costs about one bit for every number.
@@ -290,9 +294,10 @@ gains.show("08_step", rows, {})
 # ## Exercises
 # **08.1** ● At which $\psi_q$ is the step half of $Q_0$?
 #
-# **08.2** ●● The four groups share one output $\psi_q$, so that the network needs one column. What
-# changes in the gradient? Give $\bar\psi_q$ at the $\psi_q$ of 08.1, for $Q_0 = (0.25, 0.01, 0.01,
-# 0.1)$ and $\bar q = (1, -10, 20, 4)$, and $\bar\psi_q$ at $\psi_q = -5$, where the floor applies.
+# **08.2** ●● Suppose that the four groups share one output $\psi_q$, so that the last layer needs
+# only one column. What changes in the gradient? Give $\bar\psi_q$ at the $\psi_q$ of 08.1, for $Q_0
+# = (0.25, 0.01, 0.01, 0.1)$ and $\bar q = (1, -10, 20, 4)$, and $\bar\psi_q$ at $\psi_q = -5$,
+# where the floor applies.
 #
 # **08.3** ●● Write the backward of Eq. (8), with the slope 0 on the floor. You may use
 # `psi_q, saved = mlp.forward(x, weights, biases)`; `mlp.backward(saved, psi_q_bar)` returns a
@@ -322,7 +327,8 @@ lessons.check_backward("08.3", my_backward, "step")
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only step` compares what a port wrote. Begin with the scalar
 # formula, `--only step_floor`, and look at its gradient, which must be 0 on the floor. A port that
-# clamps only the value, outside of what its framework differentiates, passes the gradient on.
+# clamps the value outside of what its framework differentiates lets the gradient pass, which is
+# wrong.
 
 # %%
 lessons.passes("step")
@@ -439,12 +445,12 @@ assert 1 - sigmoid(2 * 19.0) == 0
 assert close(slope_at(30.0), 4 * np.exp(-60))
 
 # %% [markdown]
-# What about the printed form with the same floor? The golden vectors `step_floor` test only the
+# Is the printed form good enough with the same floor? The golden vectors `step_floor` test only the
 # last line of the code, $q$ as a function of $\psi_q$, which they call `u`. In `float64` the
-# printed form has lost a few digits beside the floor. The check calls that acceptable: the formula
-# is right, and it names what would keep the digits. With `strict=True` it fails. Since `float64`
-# has many more digits than anybody needs, this loss does little harm. A port in `float32` has no
-# digits to spare.
+# printed form has lost a few digits beside the floor. The check accepts that, because the formula
+# is right, and says how to keep the digits; with `strict=True` it fails. The loss does little harm,
+# because `float64` has many more digits than anybody needs. A port in `float32` has no digits to
+# spare.
 
 
 # %%

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Eq. (9): the binary hash grid
 #
-# **Promise.** After this tutorial you can look up an anchor by hand, including the hash, and send a
-# gradient to a grid of which only the signs are used. **Before it:** `07_noise_and_rounding` for
-# straight-through. **Takes** four seconds of machine time on two cores, 25 minutes of reading and
-# 30 of exercises.
+# **Promise.** After this tutorial you can look up the context of an anchor by hand, including the
+# hash, and send a gradient to a grid of which only the signs are used. **Before it:**
+# `07_noise_and_rounding` for straight-through. **Takes** four seconds of machine time on two cores,
+# 25 minutes of reading and 30 of exercises.
 #
 # **Files:** Eq. (9) [hash_grid.py](../p4dgs_ref/equations/hash_grid.py),
 # [grid_nodes.py](../p4dgs_ref/equations/grid_nodes.py).
@@ -23,12 +23,12 @@ rng = np.random.default_rng(9)
 # %% [markdown]
 # ## What fails without it
 # Without a context, the decoder must expect the same of every anchor: one guess for each number,
-# and a spread as wide as all anchors together. It then pays for differences between places that it
-# could have known, because it knows where every anchor is.
+# and a spread as wide as that of all anchors together. The file then pays for differences between
+# places. But the decoder knows where every anchor is, so it could have expected them.
 #
 # The left side shows one number of the features of the trained scene, number 14, over all anchors.
-# The grey bell is what a decoder without context expects of it, and the purple bell what the
-# context of *anchor 29* makes it expect there. The bits are those of Eq. (11), which
+# The grey bell is what a decoder without context expects. The purple bell is what it expects of
+# *anchor 29* with the context there. The bits are those of Eq. (11), which
 # `10_prior_and_likelihood` explains. The right side shows the same number in space: anchors of one
 # object are often alike.
 
@@ -66,21 +66,21 @@ lessons.show(figure, "09_without_context")
 
 # %% [markdown]
 # ## Claim
-# The steps of Eq. (8) and the probabilities of Eq. (12) are predicted from a context that the
-# decoder has as well:
+# The steps of Eq. (8) and the probabilities of Eq. (12) are predicted from a context $h$, which the
+# decoder can compute as well:
 # $$h = \mathcal{H}(x_a) \tag{9}$$
 # $\mathcal{H}$ is one grid in space and three grids in the planes $xy$, $xz$ and $yz$. Each node
 # holds $F$ numbers, called *features*, that are $+1$ or $-1$.
 #
-# The paper says no more (Sec. 3.3). The rest is choice `Q11`. It follows Instant-NGP, which
-# introduced hash grids to graphics, and HAC, the codec of static scenes whose entropy model the
-# paper follows. Each grid exists in several resolutions, called *levels*. Within a level, values
-# are interpolated between the nodes, and $h$ contains the values of all levels side by side. The
-# value of level $l$ is
-# $$h_l(x_a) = \sum_{c} w_c(x_a)\,\mathrm{sign}\,\theta^l_{i_c(x_a)}.$$
+# The paper says no more (Sec. 3.3). The rest is choice `Q11`, which follows two earlier methods:
+# Instant-NGP, which introduced hash grids to graphics, and HAC, the codec of static scenes whose
+# entropy model the paper follows. Each grid exists in several resolutions, called *levels*. Within
+# a level, values are interpolated between the nodes, and $h$ contains the values of all levels side
+# by side. The value of one level is
+# $$h(x_a) = \sum_{c} w_c(x_a)\,\mathrm{sign}\,\theta_{i_c(x_a)}.$$
 # Here $c$ runs over the corners of the cell around the anchor, and $w_c$ are the weights of
 # multilinear interpolation. $i_c$ is the *entry* of the level's table in which the corner is
-# stored. $\theta^l$ are the parameters of the level: real numbers of which only the sign is used.
+# stored. $\theta$ are the parameters of the level: real numbers of which only the sign is used.
 
 # %% [markdown]
 # ## By hand
@@ -90,13 +90,13 @@ lessons.show(figure, "09_without_context")
 # $(1,0)$, $(0,1)$ and $(1,1)$. Let the parameters there be $0.3$, $-1$, $2$ and $1.5$. Their signs
 # are $+ - + +$, so $h = 0.375 - 0.125 + 0.375 + 0.125 = 0.75$.
 #
-# A level is a table of $T$ entries. If all nodes fit into the table, node $(i, j, k)$ is in row
-# $i + j\,n + k\,n^2$, where $n$ is the number of nodes along an axis. If they do not, the nodes are
-# *hashed*. Each coordinate is multiplied by a constant of its axis ($1$, $2654435761$, $805459861$)
-# modulo $2^{32}$, the products are joined by XOR, and the row is the result modulo $T$. For the
-# corner $(2, 3)$ and a table of 11 entries, $3$ times the second constant wraps around to
-# 3668339987, the XOR with $2$ is 3668339985, and the row is 2. Nodes with the same row share a
-# parameter, which is called a *collision*.
+# A level is a table of $T$ entries. If all nodes fit into the table, node $(i, j, m)$ is in row
+# $i + j\,\mathrm{res} + m\,\mathrm{res}^2$, where $\mathrm{res}$ is the number of nodes along an
+# axis. If they do not fit, the nodes are *hashed*: each coordinate is multiplied by a constant of
+# its axis ($1$, $2654435761$, $805459861$) modulo $2^{32}$, the products are joined by XOR, and the
+# row is the result modulo $T$. For example, take the corner $(2, 3)$ and a table of 11 entries: $3$
+# times the second constant wraps around to 3668339987, the XOR with $2$ is 3668339985, and the row
+# is 2. Nodes with the same row share a parameter, which is called a *collision*.
 
 # %%
 from p4dgs_ref.equations import grid_nodes, hash_grid
@@ -118,7 +118,7 @@ assert grid_nodes.entries(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 ent
 # by its axes and its number of nodes along an axis, for example `(("xyz", 3), ("xy", 5))`. The
 # output is `h [A, I]`, level by level with $F$ features each, so $I$ is the number of levels times
 # $F$. Positions are first scaled to their share of the box, $(x_a - lo)/(hi - lo)$, which lies
-# between $0$ and $1$; in units of nodes the position is the share times $n - 1$.
+# between $0$ and $1$; in units of nodes the position is the share times $\mathrm{res} - 1$.
 #
 # The function `locate` finds the corners of all anchors in all levels. It puts their weights into
 # one sparse matrix with a row for each anchor and level, and a column for each entry. Eq. (9) is
@@ -145,10 +145,10 @@ assert close(h, (located @ signs).reshape(A, levels * F))
 
 # %% [markdown]
 # The figure shows the trained grid of `demo.p4dgs`, which has four levels: 8 nodes along each axis
-# in space, and 16 in each plane, all with entries of their own. On the left is the first feature of
-# the plane $xy$: the signs on its nodes, and the value that an anchor would read at each place.
-# Anchor 29 is purple, with the four nodes of its cell. On the right is its $h$, two numbers for
-# each level; "xy, 1" is what the left panel shows at its place.
+# in space, and 16 along each axis of a plane. No two nodes share an entry. On the left is the first
+# feature of the plane $xy$: the signs on its nodes, and the value that an anchor would read at each
+# place. Anchor 29 is purple, with the four nodes of its cell. On the right is its $h$, two numbers
+# for each level; "xy, 1" is what the left panel shows at its place.
 
 # %%
 x_29 = model.anchors.x_a[thread.index]
@@ -182,30 +182,30 @@ lessons.show(figure, "09_hash_grid")
 
 # %% [markdown]
 # ## Backward by hand
-# The forward has two steps, $\theta \to b = \mathrm{sign}\,\theta \to h$. The second one is linear.
+# The forward has two steps, $\theta \to B = \mathrm{sign}\,\theta \to h$. The second one is linear.
 # For one anchor and one feature,
-# $$h = \sum_c w_c\,b_{i_c} \quad\Longrightarrow\quad
-# \bar b_{i_c} \text{ receives } w_c\,\bar h \text{ from every corner } c.$$
-# An entry adds up the contributions of every corner of every anchor that read it, with the same
+# $$h = \sum_c w_c\,B_{i_c} \quad\Longrightarrow\quad
+# \bar B_{i_c} \text{ receives } w_c\,\bar h \text{ from every corner } c.$$
+# An entry adds up the contributions of all corners of all anchors that read it, each with the
 # weight with which it was read. For all anchors and levels, the forward is the matrix times the
 # signs, so the backward is the *transposed* matrix times the cotangent. Hashing needs no extra
 # line, because a shared entry is merely a column with more nonzero weights.
 
 # %%
 h_bar = rng.normal(size=(A, levels * F))
-b_bar = np.split(located.T @ h_bar.reshape(A * levels, F), np.cumsum(tables)[:-1])
+B_bar = np.split(located.T @ h_bar.reshape(A * levels, F), np.cumsum(tables)[:-1])
 
 # %% [markdown]
 # The first step, the sign, has the slope 0 everywhere except at 0, where it has none. With this
 # slope a grid would never learn. The backward therefore uses another one: it treats the sign as the
 # identity as long as $|\theta| \le 1$, and as a constant beyond. This is the *straight-through*
 # estimator with clipping.
-# $$\bar\theta = \begin{cases} \bar b & |\theta| \le 1 \\ 0 & |\theta| > 1 \end{cases}$$
+# $$\bar\theta = \begin{cases} \bar B & |\theta| \le 1 \\ 0 & |\theta| > 1 \end{cases}$$
 
 # %%
 ours = hash_grid.backward(saved, h_bar)["grids"]
-for gradient, b, grid in zip(ours, b_bar, grids):
-    assert close(gradient, b * (np.abs(grid) <= 1))
+for gradient, bar, grid in zip(ours, B_bar, grids):
+    assert close(gradient, bar * (np.abs(grid) <= 1))
 slightly_larger = [1.0001 * grid for grid in grids]
 unchanged, _ = hash_grid.forward(x_a, lo, hi, slightly_larger, resolutions)
 assert np.array_equal(unchanged, h)
@@ -213,7 +213,7 @@ assert np.array_equal(unchanged, h)
 # %% [markdown]
 # This gradient is not the derivative of Eq. (9), but we can still check it, because it is the exact
 # gradient of another function. Replace the signs by
-# $$b(\theta') = \mathrm{sign}\,\theta + \mathrm{clip}(\theta', \pm 1)
+# $$B(\theta') = \mathrm{sign}\,\theta + \mathrm{clip}(\theta', \pm 1)
 # - \mathrm{clip}(\theta, \pm 1),$$
 # where $\theta$ are the current parameters. At $\theta' = \theta$ these are the signs, and the
 # straight-through gradient is the true gradient with respect to $\theta'$. Such a function is
@@ -234,7 +234,7 @@ _ = lessons.adjoint(rng, surrogate, {"parameters": grids}, h_bar, {"parameters":
 # %% [markdown]
 # Does such a gradient help? In the next cell, each of the 40 anchors has two target numbers whose
 # signs depend on its position. Gradient descent reduces the mean squared error to less than a
-# tenth. With the true gradient nothing would move.
+# tenth. With the true gradient, which is 0, nothing would change.
 
 # %%
 side = np.sign(x_a[:, :1] + 0.3 * x_a[:, 1:2])
@@ -271,8 +271,8 @@ assert symbols.max() == LATTICE == 2**16 - 1
 # Suppose we forget that the hash wraps around at 32 bits, and multiply in 64 bits. The program
 # runs, and its rows still lie in the table. If the size of the table is a power of two, the rows
 # are even *right*, because the low bits are the same with and without wrapping. In a table of 6007
-# entries, most rows are wrong. A port can therefore pass with all table sizes of HAC, which are
-# powers of two, and fail with the first other size. The golden vectors contain both kinds.
+# entries, most rows are wrong. With HAC's table sizes, which are powers of two, a port with this
+# mistake passes; with the first other size it fails. The golden vectors contain both kinds.
 
 
 # %%
@@ -299,10 +299,11 @@ assert "hash_index/paper_3d" not in [r.id for r in report.results if r.verdict =
 
 # %% [markdown]
 # ## What a codec does with it
-# CABAC, the entropy coder of video standards, also takes its context from what encoder and decoder
-# both know. Here the context is learned and sent, so it must be cheap. A sign costs at most one
-# bit. Grids of HAC's sizes have 1,766,224 signs, which is 0.21 MiB. Stored as `float32`, they would
-# take 32 times as much. [See it move](viewer/demo.html#step=context): the signs of the demo's grid.
+# CABAC, the entropy coder of video standards, also takes its context from data that encoder and
+# decoder both know. Here the grid is learned and is part of the file, so it must be cheap. A sign
+# costs at most one bit. Grids of HAC's sizes have 1,766,224 signs, which is 0.21 MiB. Stored as
+# `float32`, they would take 32 times as much. [See it move](viewer/demo.html#step=context): the
+# signs of the demo's grid.
 
 # %%
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
@@ -315,11 +316,11 @@ print(f"{signs_of_hac} signs take {signs_of_hac / 8 / 2**20:.2f} MiB")
 
 # %% [markdown]
 # ## What this idea buys
-# In the ablation, "one guess for all" has a grid of a single node: each number has one mean, one
+# In the figure, "one guess for all" is a grid with a single node: each number has one mean, one
 # deviation and one step for all anchors. With the context, the anchors take 4,569 bytes instead of
-# 5,126. But its grid and wider networks take 541 bytes more, so the whole file is as large as
-# before, at a PSNR that differs by less than the seeds do: here the context buys nothing. In the
-# paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it serves some
+# 5,126. But the grid and wider networks take 541 bytes more, so the whole file is as large as
+# before, and the PSNR differs by less than it does between seeds: here the context buys nothing. In
+# the paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it serves some
 # hundred times as many anchors. The paper does not say how large the file would be without it.
 
 # %%
@@ -342,25 +343,26 @@ gains.show(
 #   its numbers is decoded.
 # - Only signs are stored, one bit each at most; training moves real numbers behind them, with a
 #   straight-through gradient.
-# - Nodes that share an entry share its gradient, and nothing else must be done about it.
+# - Nodes that share an entry add their gradients to it. The backward needs no extra line for this.
 #
 # **Often misunderstood**
 # - *The grid stores $h$.* It stores signs, and $h$ is interpolated between them, so neighbours get
 #   similar contexts.
 # - *The grid stores the scene.* It only says what to expect at a place, and how finely to round
 #   there. The numbers of the anchors are coded apart from it.
-# - *A collision is an error.* Encoder and decoder collide alike; it costs precision of the guess.
+# - *A collision is an error.* Encoder and decoder have the same collisions. The guesses become less
+#   precise, but nothing is decoded wrongly.
 
 # %% [markdown]
 # ## Exercises
 # **09.1** ● With the parameters of the section "By hand", what does an anchor at $(0.75, 0.25)$
 # read?
 #
-# **09.2** ●● Write the row of a corner: dense if the $n^D$ nodes fit into the table, otherwise
-# hashed as in "By hand". The type `uint32` wraps around by itself.
+# **09.2** ●● Write the row of a corner: dense if the $\mathrm{res}^D$ nodes fit into the table,
+# otherwise hashed as in "By hand". The type `uint32` wraps around by itself.
 #
-# **09.3** ●● Write the backward of Eq. (9). It needs two lines of the section above, and `np.split`
-# to cut the rows into levels.
+# **09.3** ●● Write the backward of Eq. (9). It needs two lines of "Backward by hand", and
+# `np.split` to cut the rows into levels.
 #
 # **Predict, then run.** All parameters of the grid are multiplied by $1000$. What happens to $h$,
 # and what to the gradients?
@@ -394,9 +396,9 @@ lessons.check_backward("09.3", my_backward, "hash_grid")
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only hash_grid` compares what a port wrote. Check `--only
-# hash_index` and `--only grid_cell` first. The usual mistakes are $n$ times the share of the box in
-# place of $n - 1$ times, another order of the planes (the paper's text names $xy$, $yz$, $xz$, but
-# here $xz$ comes before $yz$), and the sign of zero, which counts as $+1$.
+# hash_index` and `--only grid_cell` first. The usual mistakes are $\mathrm{res}$ times the share of
+# the box in place of $\mathrm{res} - 1$ times, another order of the planes (the paper's text names
+# $xy$, $yz$, $xz$, but here $xz$ comes before $yz$), and the sign of zero, which counts as $+1$.
 
 # %%
 lessons.passes("hash_grid")

@@ -2,7 +2,7 @@
 # # Eq. (11) and Eq. (12): how many bits a number costs
 #
 # **Promise.** After this tutorial you can compute the cost of a number in bits, say what a wrong
-# guess and a wrong width cost, and derive all four gradients. **Before it:**
+# guess and a wrong width of the guess cost, and derive all four gradients. **Before it:**
 # `07_noise_and_rounding`, `08_step`. **Takes** four seconds of machine time on two cores, 35
 # minutes of reading and 40 of exercises.
 #
@@ -25,13 +25,14 @@ rng = np.random.default_rng(10)
 
 # %% [markdown]
 # ## What fails without it
-# A decoder that is too sure of its guess makes every surprise expensive, and one that is too unsure
-# pays for all values that do not occur. The right width differs from number to number, so it must
-# be predicted like the guess itself.
+# The decoder guesses every number, and a bell curve around the guess says how likely other values
+# are. If the bell is too narrow, every surprise is expensive; if it is too wide, bits are spent on
+# values that do not occur. The right width differs from number to number, so it must be predicted
+# like the guess itself.
 #
-# The left side shows one number of *anchor 29*, in steps, and three bells about the guess of the
-# trained scene: with its own width, with a quarter of it, and with four times as much. The right
-# side shows what the features of the whole file, and those of anchor 29, cost if all widths are
+# The left side shows one number of *anchor 29*, in steps, and three bells around its guess in the
+# trained scene: with the predicted width, a quarter of it, and four times as much. The right side
+# shows what the features of the whole file, and those of anchor 29, cost if all widths are
 # multiplied by a factor.
 
 # %%
@@ -64,7 +65,7 @@ left.legend()
 powers = np.log2(factors)
 right.semilogy(powers, whole / 8, "o-", color=show.GREY, label="features of the file")
 right.semilogy(powers, own / 8, "o-", color=thread.color, label=f"those of {thread.name}")
-right.set(xlabel="all widths times 2 to the power", ylabel="bytes", title="too sure, too unsure")
+right.set(xlabel="all widths times 2 to the power", ylabel="bytes", title="too narrow, too wide")
 right.legend()
 lessons.show(figure, "10_wrong_width")
 
@@ -74,8 +75,8 @@ lessons.show(figure, "10_wrong_width")
 # likely, 3 questions find the right one, because each answer halves the number of candidates. A
 # number of probability $\frac18$ therefore costs 3 bits. If one number has the probability
 # $\frac12$, ask for it first: it costs 1 bit, and the others cost more. In general, a number of
-# probability $p$ costs $b = -\log_2 p$ bits. An ideal entropy coder needs exactly that many bits,
-# even if $b$ is not an integer.
+# probability $p$ costs $-\log_2 p$ bits. An ideal entropy coder needs exactly that many, even if
+# this is not an integer.
 #
 # A number is therefore cheap if the decoder expects it. For every number, a network makes a guess,
 # $\mu$, and says how far off this guess may be, $\sigma$. Together they describe a normal
@@ -108,8 +109,9 @@ for symbol in range(4):
     print(f"symbol {symbol}: probability {p:.4f}, {-math.log2(p):.3f} bits")
 
 # %% [markdown]
-# Two numbers of anchor 29 in the trained scene, in steps. The first is where the decoder expects
-# it. The second is a surprise, and costs four times as much. The purple area is the probability.
+# The figure shows two numbers of anchor 29 in the trained scene, in steps. The first is where the
+# decoder expects it. The second is a surprise, and costs four times as much. The purple area is the
+# probability of the symbol.
 
 # %%
 figure, panels = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
@@ -202,10 +204,10 @@ assert close(slope_w, (upper + lower) / (2 * p), 1e-8)
 # Now the four inputs. From $z = (\tilde f - \mu)/\sigma$ and $w = q/\sigma$, by the quotient rule,
 # $$dz = \frac{d\tilde f - d\mu - z\,d\sigma}{\sigma}, \qquad dw = \frac{dq - w\,d\sigma}{\sigma}.$$
 # Both numbers are divided by $\sigma$, so its gradient has two terms. The bits are $-\log p/\ln 2$,
-# so every gradient has the factor $\bar b/(\sigma\ln 2)$:
-# $$\bar f = -\frac{\bar b}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f,
-# \quad \bar q = -\frac{\bar b}{\sigma\ln 2}\,slope_w,$$
-# $$\bar\sigma = \frac{\bar b}{\sigma\ln 2}\,(z\,slope_z + w\,slope_w)$$
+# so every gradient has the factor $\overline{bits}/(\sigma\ln 2)$:
+# $$\bar f = -\frac{\overline{bits}}{\sigma\ln 2}\,slope_z, \quad \bar\mu = -\bar f,
+# \quad \bar q = -\frac{\overline{bits}}{\sigma\ln 2}\,slope_w,$$
+# $$\bar\sigma = \frac{\overline{bits}}{\sigma\ln 2}\,(z\,slope_z + w\,slope_w)$$
 # All of this holds entry by entry, for arrays `[A, n]`.
 
 # %%
@@ -264,12 +266,12 @@ assert not gradients["biases"][0].any()
 
 # %% [markdown]
 # ## Break it
-# Far from the mean, a probability becomes so small that a bound looks harmless. HAC, a codec for
-# static scenes whose entropy model the paper follows, never lets the probability fall below
-# $10^{-6}$. No number then costs more than 19.93 bits, and nothing is ever infinite. Training runs,
-# but it reports a lower rate than the file will need, and below the floor the gradient is 0. A
-# number 6 standard deviations from the mean is never pulled towards the mean, although it costs
-# 25.7 bits by Eq. (11).
+# Far from the mean, probabilities become so small that a lower bound for them looks harmless. HAC,
+# a codec for static scenes whose entropy model the paper follows, never lets the probability fall
+# below $10^{-6}$, a *floor*. No number then costs more than 19.93 bits, and nothing is ever
+# infinite. Training runs, but it reports a lower rate than the file will need, and on the floor the
+# gradient is 0. A number 6 standard deviations from the mean is never pulled towards the mean,
+# although it costs 25.7 bits by Eq. (11).
 
 
 # %%
@@ -324,10 +326,11 @@ assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
 
 # %% [markdown]
 # ## What this idea buys
-# Rounding and entropy coding come together in the paper's Table 3, the last of its three ideas:
+# The paper's Table 3 measures rounding and entropy coding together, as the last of its three ideas:
 # T-Rex shrinks from 5.39 to 0.85 MB, 6.3 times. Here the anchors shrink from 29,551 to 4,569 bytes,
-# 6.5 times, but the file only from 76,590 to 38,649. The rest are networks, which are not coded,
-# at most rounded to float16: 87 percent of our file, and a third of the paper's at its higher rate.
+# 6.5 times, but the file only from 76,590 to 38,649. The rest is mostly networks, which are rounded
+# to float16 and not entropy coded. They are 87 percent of our file, and a third of the paper's at
+# its higher rate.
 
 # %%
 from tutorials import gains
@@ -344,14 +347,16 @@ gains.show("10_prior_and_likelihood", rows, paper)
 # **In short**
 # - A number costs $-\log_2$ of the probability of its bin: the area under the bell, over the width
 #   of one step.
-# - Guess and width come from the context, so the decoder has both before it reads the number.
-# - The gradients pull values towards their guess, guesses towards their values, and widths to the
-#   size of the usual error; steps are always pushed to grow.
+# - The guess and its width come from the context, so the decoder has both before it reads the
+#   number.
+# - The gradients pull values and guesses towards each other, and the widths to the size of the
+#   usual error. They always push steps to grow.
 #
 # **Often misunderstood**
 # - *The density is the probability.* Its logarithm would change with the unit of the scene, and
 #   could be negative; a bin has a width.
-# - *A wide bell is on the safe side.* It never costs much at once, and always a little.
+# - *A wide bell is on the safe side.* No number then costs very much, but every number costs more
+#   than it needs to.
 # - *The file contains $\mu$ and $\sigma$.* It contains the grid of Eq. (9) and the network
 #   $\psi_p$, from which both sides compute them.
 
@@ -362,10 +367,10 @@ gains.show("10_prior_and_likelihood", rows, paper)
 # formula with `erfcx` of *For ports* works for all of them if you use $|z|$. So does
 # `scipy.special.log_ndtr`, which is $\log\Phi$ with all its digits.
 #
-# **10.2** ●● A port keeps the tables of its coder short with a floor under Eq. (12): it takes
-# $\sigma = \max(e^{r}, q/4)$, where $r$ is the output of $\psi_p$. What changes in the gradient?
-# For $f = 0.3$, $\mu = 0.1$, $r = \ln 0.02$ and $q = 0.2$, give the gradients of the bits in $r$
-# and $q$.
+# **10.2** ●● So that the tables of its coder stay short, a port bounds $\sigma$ of Eq. (12) from
+# below: $\sigma = \max(e^{r}, q/4)$, where $r$ is the output of $\psi_p$. What changes in the
+# gradient? For $f = 0.3$, $\mu = 0.1$, $r = \ln 0.02$ and $q = 0.2$, give the gradients of the bits
+# in $r$ and $q$.
 #
 # **10.3** ●●● Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
 #
@@ -433,9 +438,9 @@ assert close(bits_9[0, 0], mirrored_9)
 print(f"z = 9 costs {mirrored_9:.1f} bits")
 
 # %% [markdown]
-# Mirroring the bin is half of the remedy (`24_hard_cases` shows both sides on a map). From about $z
-# = 38$ on, even $\Phi(-low)$ is too small for a float, but its logarithm is not. SciPy has the
-# function $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$, which omits the factor that becomes so
+# Mirroring the bin is only half of the solution (`24_hard_cases` shows both sides on a map). From
+# about $z = 38$ on, even $\Phi(-low)$ is too small for a float, but its logarithm is not. SciPy has
+# the function $\mathrm{erfcx}(v) = e^{v^2}\mathrm{erfc}(v)$, which omits the factor that becomes so
 # small. With $\Phi(-v) = \frac12\mathrm{erfc}(v/\sqrt2)$, we get $\log p = \log g -
 # \frac{1}{2}low^2$, where
 # $$g = \tfrac12\bigl(\mathrm{erfcx}(low/\sqrt2)
@@ -458,7 +463,7 @@ print(f"z = 40 costs {by_erfcx:.6f} bits")
 # $$p = \phi(z)\,w\,\Bigl(1 + \frac{w^2}{24}(z^2 - 1) + \dots\Bigr)$$
 #
 # The module `likelihood.py` therefore computes $\log p$ with different functions in different
-# regimes: around the mean, next to it, far from it, and in narrow bins.
+# *regimes*: around the mean, next to it, far from it, and in narrow bins.
 
 # %%
 z_narrow = 0.7
@@ -484,7 +489,7 @@ floored = np.minimum(stable, -math.log2(1e-6))
 
 # %% [markdown]
 # Left: the cost of a symbol far from the mean, with the printed formula, with the floor of "Break
-# it", and in regimes. Right: the error of the probability in narrow bins.
+# it", and with a function for each regime. Right: the error of the probability in narrow bins.
 
 # %%
 figure, (tails, digits) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")

@@ -23,11 +23,12 @@ rng = np.random.default_rng(11)
 
 # %% [markdown]
 # ## What fails without it
-# A picture does not say what it cost, so a training that sees pictures alone spends bits wherever
-# this helps at all. Only a sum of all bits, whose gradient reaches every number, makes it save.
+# A picture does not say how many bits it cost. Training that sees only pictures therefore spends
+# bits wherever they help at all. It saves bits only if the loss contains their sum, whose gradient
+# reaches every number.
 #
-# Both files below were trained on `bouncing` in the same way, one of them without the rate. Its
-# numbers and signs take 3.5 times as many bytes, for 0.2 dB on the test views.
+# Both files below were trained on `bouncing` in the same way, one of them without the rate. Without
+# the rate, the numbers and signs take 3.5 times as many bytes, and the test views gain only 0.2 dB.
 
 # %%
 from p4dgs_ref.report.inspect import components, ledger, symbol_bits
@@ -140,11 +141,12 @@ assert after / n_parameters < before / n_parameters
 # %% [markdown]
 # ## Backward by hand
 # Eq. (17) and Eq. (13) are sums. Every number of bits that is counted receives the cotangent of the
-# sum, and a masked one receives 0. With $n$ parameters, with $\overline{bits}$ for the cotangent of
-# the sum before dividing, and with a mask $m$ that is 1 for everything but masked offsets,
+# sum, and a masked one receives 0. Let $\overline{total}$ be the cotangent of $R_{\rm anchor} +
+# R_{\rm hash}$ before dividing, and $m$ a mask that is 0 for masked offsets and 1 for all other
+# numbers. Then
 # $$\bar R_{\rm anchor} = \bar R_{\rm hash}
-# = \frac{\bar{\mathcal{L}}_{\rm rate}}{n} + \overline{bits}, \qquad
-# \bar b_{aj} = m_{aj}\,\bar R_{\rm anchor}.$$
+# = \frac{\bar{\mathcal{L}}_{\rm rate}}{A(d + 6 + 3k)} + \overline{total}, \qquad
+# \overline{bits}_{aj} = m_{aj}\,\bar R_{\rm anchor}.$$
 
 # %%
 top = rate_loss.backward(rate_saved, bits_bar=np.float64(0.3), L_rate_bar=np.float64(-2.0))
@@ -167,9 +169,9 @@ assert close(change, inner(ours, move), 1e-10)
 # One more $+1$ makes every $+1$ cheaper and every $-1$ more expensive. To first order these two
 # changes, $\mp\frac{1}{\ln 2}$, cancel.
 #
-# An entry's sign $b$ contributes $\frac{1}{2}(1 + b)$ to $N_+$, which is 0 for $-1$ and 1 for $+1$.
-# Each entry therefore gets half of this slope. From $b$ to $\theta$ the gradient goes straight
-# through, as in Eq. (9):
+# An entry's sign $B$ contributes $\frac{1}{2}(1 + B)$ to $N_+$, which is 0 for $-1$ and 1 for $+1$.
+# Each entry therefore gets half of this slope. From $B$ to the parameter $\theta$ the gradient goes
+# straight through, as in Eq. (9):
 # $$\bar\theta = \tfrac{1}{2}\log_2\frac{N_-}{N_+}\;\bar R_{\rm hash}
 # \quad\text{where } |\theta| \le 1, \text{ otherwise } 0$$
 
@@ -201,7 +203,7 @@ for gradient, grid in zip(ours, grids):
 # All entries within $\pm 1$ feel the same pull, towards the sign of the *majority*. In the cell
 # below, the rate alone trains a grid until all signs are equal, which costs 0 bits. At this point
 # the slope is infinite, and the code returns 0. In a real model, different signs survive because
-# $h$ has to predict something.
+# $h$ has to tell anchors apart.
 
 # %%
 theta = rng.uniform(-0.3, 0.5, (200, 1))
@@ -219,8 +221,8 @@ assert not hash_gradients([theta], 1.0)[0].any()
 # The two panels on the left show the mean cost of a sign and the slope that all signs feel; they
 # have different units. The slope is infinite at both ends, so its axis is cut. The dot is the grid
 # of the demo's file. The panel on the right shows what anchor 29 adds to Eq. (13), number by
-# number: its share of the bytes in the file. The gap is where its masked child would be. With its
-# position, three times 16 bits, the anchor takes some 24 bytes.
+# number. The gap is where the offsets of its masked child would be. Together with the anchor's
+# position, three times 16 bits, these are some 24 bytes.
 
 # %%
 thread = lessons.THREAD
@@ -261,10 +263,10 @@ lessons.show(figure, "11_rate")
 
 # %% [markdown]
 # ## Break it
-# Suppose we apply the mask by multiplying, `bits_O * mask`. It looks like the same thing, and it is
-# the same until a masked child lies so far from its mean that its bits are infinite, which happens
-# if Eq. (11) is computed as printed. Zero times infinity is NaN, and so is the whole rate. The
-# selection `np.where(mask[:, :, None], bits_O, 0)` does not look at masked values.
+# Suppose we apply the mask by multiplying, `bits_O * mask`. The result is the same until a masked
+# child lies so far from its mean that its bits are infinite, which happens if Eq. (11) is computed
+# as printed. Zero times infinity is NaN, and so is the whole rate. Masked values are not even read
+# by the selection `np.where(mask[:, :, None], bits_O, 0)`.
 
 
 # %%
@@ -280,8 +282,8 @@ with np.errstate(invalid="ignore"):
 # %% [markdown]
 # ## What a codec does with it
 # The rate is an estimate; what counts is the file. In the demo's file, each section is 5 to 13
-# bytes longer than the equations say, because of the last state of the coder, a short header and
-# the rounding to whole bytes. Positions, masks and networks are in no equation. [See it
+# bytes longer than the equations say, because it also holds the last state of the coder and a short
+# header, and ends with a whole byte. Positions, masks and networks are in no equation. [See it
 # move](viewer/demo.html#step=bits): the bits of each anchor in colour, and what fewer would cost.
 
 # %%
@@ -295,10 +297,11 @@ print(f"Eq. (17) describes {100 * counted / len(tour.DATA):.0f} % of this file o
 
 # %% [markdown]
 # ## What this idea buys
-# With twenty times the price of a bit, our anchors take 2,538 bytes instead of 4,569. The paper
-# shows two prices of T-Rex as well, without their values (Table 4): there the anchors take 0.224
-# and 0.596 MB, positions included. Only what Eq. (17) counts gives way. Positions and networks stay
-# as they are, which is nearly all of our file and four fifths of the paper's smaller one.
+# With twenty times the price $\lambda_{\rm rate}$ of a bit, our anchors take 2,538 bytes instead of
+# 4,569. The paper also shows T-Rex at two prices, without their values (Table 4): there the anchors
+# take 0.224 and 0.596 MB, positions included. Only the parts that Eq. (17) counts become smaller.
+# Positions and networks stay as they are, and they are nearly all of our file and four fifths of
+# the paper's smaller one.
 
 # %%
 from tutorials import gains
@@ -313,29 +316,30 @@ gains.show("11_rate", rows, paper, "curve")
 # **In short**
 # - The rate is a sum of bits: those of every coded number by Eq. (11), and those of the grid's
 #   signs by their counts.
-# - In the sum, every number of an anchor feels the same price. A masked offset is no term of it.
-# - Divided by the number of parameters, it has the same weight in small and large scenes.
+# - Every bit has the same price, whichever number it belongs to. A masked offset costs nothing.
+# - Divided by the number of parameters, the rate has the same weight in small and large scenes.
 #
 # **Often misunderstood**
 # - *Eq. (17) is the size of the file.* Positions, masks, networks and headers are not in it.
 # - *Masks are the paper's.* It says only that children with low opacity are dropped; a mask in the
 #   file is this project's choice `Q15`.
-# - *A grid of equal signs would be the best.* It costs 0 bits and says nothing about any anchor.
+# - *A grid of equal signs would be the best.* It costs 0 bits, but it no longer tells anchors
+#   apart.
 
 # %% [markdown]
 # ## Exercises
 # **11.1** ●● A hundred anchors have $d = 4$ and $k = 5$, each of their numbers costs 3 bits, and
-# $R_{hash} = 0$. Then one child of each anchor is masked. Give $\mathcal{L}_{rate}$ before and
-# after, and its slope in the bits of one number that stays, before and after: a list of four
-# numbers.
+# $R_{hash} = 0$. Then one child of each anchor is masked. Give a list of four numbers:
+# $\mathcal{L}_{rate}$ before and after, then its slope in the bits of one number that is not
+# masked, before and after.
 #
 # **11.2** ●● Write the backward of Eq. (14). All levels have the same slope, which depends on the
 # signs of all levels.
 #
-# **11.3** ●● Every level of the grid gets a $p_+$ of its own. What changes in the gradient? Of two
-# levels of $8$ signs, one has $2$ positive signs and the other one $6$, and all $|\theta| < 1$.
-# Give the slopes `[2, 2]` of $R_{hash}$ in a $\theta$ of each level: with one $p_+$ for both, then
-# with two.
+# **11.3** ●● Suppose that every level of the grid gets a $p_+$ of its own. What changes in the
+# gradient? Two levels have $8$ signs each; the first has $2$ positive signs and the second $6$, and
+# all $|\theta| < 1$. Give the slopes `[2, 2]` of $R_{hash}$ in a $\theta$ of the first and of the
+# second level: in the first row with one $p_+$ for both levels, in the second row with two.
 #
 # **Predict, then run.** Every parameter of the hash grid changes its sign. What happens to
 # $R_{hash}$, and what to its gradient?

@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Eqs. (15) and (16): what training minimises
 #
-# **Promise.** After its first part you can explain what the weight of the rate trades for what;
-# there the path through the ideas of the method ends. After the second part you can derive the
-# gradient of SSIM by hand. **Before it:** `11_rate`. **Takes** six seconds of machine time on two
-# cores, 30 minutes of reading and 30 of exercises.
+# **Promise.** After the first part of this tutorial you can explain what the weight of the rate
+# does; the path through the ideas of the method ends there. After the second part you can derive
+# the gradient of SSIM by hand. **Before it:** `11_rate`. **Takes** six seconds of machine time on
+# two cores, 30 minutes of reading and 30 of exercises.
 #
 # **Files:** Eq. (15) [total_loss.py](../p4dgs_ref/equations/total_loss.py), Eq. (16)
 # [render_loss.py](../p4dgs_ref/equations/render_loss.py),
@@ -26,8 +26,8 @@ rng = np.random.default_rng(12)
 
 # %% [markdown]
 # ## What fails without it
-# Training on pictures alone makes them good at any price: nothing says when a bit is not worth its
-# while. Training on the size of the file alone would make an empty file.
+# Training on pictures alone makes them good at any price: nothing says when a bit is not worth it.
+# Training on the size of the file alone would make an empty file.
 #
 # The three files below were trained in the same way, with three prices of a bit: none, that of the
 # demo, and a hundred times as much. The PSNR is that of this view.
@@ -53,18 +53,18 @@ lessons.show(figure, "12_losses_prices")
 # number of every anchor therefore feels two pulls, one from the pictures in which it is seen, and
 # one from its own bits.
 #
-# The paper does not state its prices (silent: `Q12`, `Q17`). Here $\mathcal{L}_{rate}$ is in bits
-# per parameter, so that a value of $\lambda_{rate}$ means the same for small and large scenes. The
-# paper's Eq. (17) is the plain sum of the bits. There, the same $\lambda_{rate}$ would give the
-# rate of a scene with ten times as many anchors ten times the weight, while $\mathcal{L}_{render}$
-# is a mean.
+# The paper does not state its values of $\lambda_{rate}$ (choices `Q12` and `Q17`). Here
+# $\mathcal{L}_{rate}$ is in bits per parameter, so that a value of $\lambda_{rate}$ means the same
+# for small and large scenes. The paper's Eq. (17) is the plain sum of the bits. With it, the same
+# $\lambda_{rate}$ would give the rate ten times the weight in a scene with ten times as many
+# anchors, because $\mathcal{L}_{render}$ is a mean and does not grow with the scene.
 
 # %% [markdown]
 # ## The price chooses a point
 # Video encoders minimise the same sum, distortion plus $\lambda$ times rate. The next cell uses the
 # simplest codec: the pixels of a picture, rounded to a step $q$ and coded at their entropy. For
-# each $\lambda$ one step is the best. It is the point at which a line of slope $-\lambda$ touches
-# the curve from below.
+# each $\lambda$ one step is the best: that of the point at which a line of slope $-\lambda$ touches
+# the points from below.
 
 # %%
 from p4dgs_ref import load_scene
@@ -137,8 +137,8 @@ lessons.show(figure, "12_losses_rate")
 
 # %% [markdown]
 # ## The loss of a picture
-# Absolute differences alone treat a blurred edge like a change of brightness. In the picture,
-# training therefore weighs them against structure, with the weight $\lambda_{SSIM}$:
+# Absolute differences alone treat a blurred edge like a change of brightness. The loss of a picture
+# therefore has a second term, which compares structure and has the weight $\lambda_{SSIM}$:
 # $$\mathcal{L}_{render} = (1-\lambda_{SSIM})\,\mathcal{L}_1
 # + \lambda_{SSIM}\,\mathcal{L}_{D-SSIM} \tag{16}$$
 # With $x$ for the rendered image and $y$ for the true one, $\mathcal{L}_1$ is the mean of $|x - y|$
@@ -347,8 +347,8 @@ _ = lessons.adjoint(rng, of_image, {"image": image}, 1.0, {"image": ours}, 1e-6)
 # At the border of the image, part of the window lies outside. Suppose we cut the window there and
 # scale its remaining weights to a sum of one, instead of adding zeros. This is a sensible idea, but
 # it is another function. Away from the border nothing changes, and training works as before. But
-# the noisy image has an SSIM of 0.933 with zeros and of 0.840 without, because with zeros the
-# border is an edge that both images share. Scores of the two kinds must not appear in the same
+# the noisy image has an SSIM of 0.933 with zeros and of 0.840 without: the step to zero at the
+# border is structure that both images share. Scores of the two kinds must not appear in the same
 # table.
 
 
@@ -377,11 +377,11 @@ lessons.caught(mean_of_renormalised, "ssim", "ssim-renormalised")
 
 # %% [markdown]
 # ## What this idea buys
-# A range of files from one method: with a price of 0.01 instead of 0.0005, our file has 5 percent
-# fewer bytes and 2.3 dB less. In the paper, T-Rex has two rates, 41 percent apart (Table 4), and
-# the means over its synthetic scenes go from 1.03 MB and 38.10 dB to 0.57 MB and 35.10 dB (its last
-# table). Our range is narrow because networks, on which the price does not act, are 87 percent of
-# the file; the paper names the same limit for its low rates.
+# One method gives a range of files: with a price $\lambda_{rate}$ of 0.01 instead of 0.0005, our
+# file has 5 percent fewer bytes and 2.3 dB less. In the paper, T-Rex has two rates, 41 percent
+# apart (Table 4), and the means over its synthetic scenes go from 1.03 MB and 38.10 dB to 0.57 MB
+# and 35.10 dB (its last table). Our range is narrow because networks, on which the price does not
+# act, are 87 percent of the file; the paper names the same limit for its low rates.
 
 # %%
 from tutorials import gains
@@ -395,7 +395,7 @@ gains.show("12_losses", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")
 # **In short**
 # - Training minimises the loss of the pictures plus $\lambda_{rate}$ times the bits; each value of
 #   $\lambda_{rate}$ gives another file.
-# - At the best point, one bit more per parameter would improve $\mathcal{L}_{render}$ by exactly
+# - At the minimum, one bit more per parameter would improve $\mathcal{L}_{render}$ by
 #   $\lambda_{rate}$.
 # - The loss of a picture is 0.8 times the mean absolute difference plus 0.2 times $1-$SSIM.
 #
@@ -419,8 +419,8 @@ gains.show("12_losses", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")
 #
 # **12.3** ●●● Write the backward of SSIM, with `window.blur`.
 #
-# **Predict, then run.** Both pictures are made half as bright. What happens to L1, and what to
-# $1 - \mathrm{SSIM}$?
+# **Predict, then run.** Both pictures are made half as bright. What happens to $\mathcal{L}_1$, and
+# what to $1 - \mathrm{SSIM}$?
 
 # %%
 case = lessons.golden("total_loss/ordinary")

@@ -258,8 +258,8 @@ behind = covariance.rotation_matrix(r[0] - np.eye(4))
 assert close((ahead - behind) / 2, slopes)
 
 # %% [markdown]
-# Each component of $\bar r$ is the inner product of $\bar R$ and a slope. With the names $abc$,
-# $def$, $ghi$ for the entries of $\bar R$, row by row,
+# Each component of $\bar r$ is the inner product of $\bar R$ and a slope. With the names $a, b, c$,
+# $d, e, f$ and $g, h, i$ for the entries of $\bar R$, row by row,
 # $$\bar w = 2\,[z(d-b) + y(c-g) + x(h-f)],\quad \bar x = 2\,[y(b+d)+z(c+g)+w(h-f)-2x(e+i)],$$
 # $$\bar y = 2\,[x(b+d)+z(f+h)+w(c-g)-2y(a+i)],\quad \bar z = 2\,[x(c+g)+y(f+h)+w(d-b)-2z(a+e)].$$
 # These four are the last lines of `covariance.backward`. The adjoint identity checks all three

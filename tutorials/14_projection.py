@@ -27,7 +27,7 @@ h = 1e-6
 # A camera with the focal lengths $f_x, f_y$ and the centre $c_x, c_y$, in pixels, projects a mean
 # to a pixel $\mu$ and a covariance $\Sigma$ to a covariance of pixels. In the coordinates of the
 # camera, the mean is $(x, y, z) = W x_{world} + T$ with the camera's rotation $W$ and translation
-# $T$. Then
+# $T$. Then, with the identity $I$,
 # $$\mu = \Bigl(f_x \tfrac{x}{z} + c_x,\; f_y \tfrac{y}{z} + c_y\Bigr),\quad
 #   \Sigma_{2D} = J W \Sigma W^T J^T + 0.3\,I,\quad K = \Sigma_{2D}^{-1}.$$
 # $K$ is the *conic*, which `15_compositing` evaluates at every pixel. $J$ is the slope of $\mu$ in

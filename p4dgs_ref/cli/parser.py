@@ -23,11 +23,16 @@ class Parser(argparse.ArgumentParser):
         sys.exit(2)
 
 
+KEPT = """Version 1 keeps: format 1 of files, the golden vectors with their tolerances, the names of
+`import p4dgs_ref`, commands, options and exit codes. With the same seed and versions it writes the
+same bytes. "What version 1.0 promises" in tutorials/reference.md has the details."""
+
+
 class Version(argparse.Action):
     """The option --version; NumPy loads only where it is asked for."""
 
     def __call__(self, parser, *others):
-        print_result(arithmetic())
+        print_result(f"{arithmetic()}\n{KEPT}")
         parser.exit()
 
 
@@ -354,7 +359,9 @@ def parser():
         description=in_groups(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    top.add_argument("--version", action=Version, nargs=0, help="packages and kernels")
+    top.add_argument(
+        "--version", action=Version, nargs=0, help="packages, kernels and what is promised"
+    )
     every = {name: row for commands in GROUPS.values() for name, row in commands.items()}
     add_commands(top, "command", every, help=argparse.SUPPRESS)
     return top

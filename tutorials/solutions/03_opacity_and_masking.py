@@ -79,9 +79,9 @@ lessons.check_backward("03.4", my_masking_backward, "masking")
 
 # %% [markdown]
 # **Predict, then run.** The gradient is zero: a Gaussian that is not in the list has no cotangent,
-# and `masking` fills its place with zeros. The picture tells this feature nothing. The anchor may
-# come back all the same, because the network is shared: below, a step that the children of another
-# anchor ask for changes the opacities of the vanished anchor, too.
+# and `masking` fills its place with zeros. This anchor's feature learns nothing from the picture.
+# The anchor may come back all the same, because the network is shared: below, a step of descent for
+# the children of another anchor also changes the opacities of the anchor that is not drawn.
 
 # %%
 feature, last = np.array([[1.0, 0.5], [0.4, 1.0]]), np.array([[0.5, 0.2], [-0.6, -0.3]])

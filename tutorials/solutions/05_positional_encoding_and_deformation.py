@@ -8,9 +8,9 @@ from p4dgs_ref import lessons
 from p4dgs_ref.equations import positional_encoding
 
 # %% [markdown]
-# **05.1** What is shared receives the sum over its copies. At zero every cosine is one and every
-# sine is zero, so a copy receives $1 + \sum_j 2^j = 2^L$, and $\bar t = 3\cdot 2^L$. Half of it
-# comes from the fastest wave: a clock is corrected with few frequencies first.
+# **05.1** A shared parameter receives the sum over its copies. At zero every cosine is one and
+# every sine is zero, so a copy receives $1 + \sum_j 2^j = 2^L$, and $\bar t = 3\cdot 2^L$. Half of
+# it comes from the fastest wave, so a clock should be corrected with few frequencies first.
 
 # %%
 rng = np.random.default_rng(5)
@@ -38,10 +38,10 @@ def my_encoding_backward(inputs, cotangents):
     groups = np.split(cotangents["E_bar"], 1 + 2 * L, axis=1)
     p_bar = groups[0].copy()
     for j in range(L):
-        s_bar = groups[1 + 2 * j]
-        c_bar = groups[2 + 2 * j]
-        s, c = np.sin(2**j * p), np.cos(2**j * p)
-        p_bar += 2**j * (c * s_bar - s * c_bar)
+        sin_bar = groups[1 + 2 * j]
+        cos_bar = groups[2 + 2 * j]
+        sin, cos = np.sin(2**j * p), np.cos(2**j * p)
+        p_bar += 2**j * (cos * sin_bar - sin * cos_bar)
     return {"p": p_bar}
 
 

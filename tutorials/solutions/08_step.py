@@ -17,11 +17,11 @@ lessons.check_number("08.1", -0.5 * np.log(3), np.arctanh(-0.5))
 
 
 # %% [markdown]
-# **08.2** What is shared receives the sum over its uses:
+# **08.2** A shared output receives the sum over its uses:
 # $$\bar\psi_q = 4g(1-g)\sum_i Q_{0,i}\,\bar q_i, \qquad g = \mathrm{sigmoid}(2\psi_q) = 0.25,
 # \qquad 4g(1-g) = 0.75.$$
-# Each group $i$ votes with the weight of its $Q_0$, and a group alone cannot become finer. On the
-# floor no group moves $\psi_q$, so $\bar\psi_q = 0$.
+# Each group $i$ contributes with the weight of its $Q_0$, and no group can become finer without the
+# others. On the floor no group moves $\psi_q$, so $\bar\psi_q = 0$.
 
 # %%
 Q_0 = np.array([0.25, 0.01, 0.01, 0.1])

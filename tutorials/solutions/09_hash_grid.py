@@ -19,8 +19,8 @@ lessons.check_number("09.1", 3 / 16 - 9 / 16 + 1 / 16 + 3 / 16, by_hand[0, 0])
 
 
 # %% [markdown]
-# **09.2** A dense row is $i + j\,n + k\,n^2$, so the first axis counts fastest. For the hash,
-# `uint32` wraps around by itself.
+# **09.2** A dense row is $i + j\,\mathrm{res} + m\,\mathrm{res}^2$, so the first axis counts
+# fastest. For the hash, `uint32` wraps around by itself.
 
 
 # %%

@@ -36,10 +36,10 @@ assert close(np.log(g) - low**2 / 2, answer_1, 1e-11)
 
 
 # %% [markdown]
-# **10.2** On the floor $\sigma = q/4$, so $r$ gets no gradient and $\psi_p$ does not learn that it
-# is too sure. The gradient of $\sigma$ goes to $q$ instead, with the factor $\frac14$. The bits now
-# depend only on $(f-\mu)/q$, which gives the same number in another way: $\bar q = -\bar
-# f\,(f-\mu)/q$.
+# **10.2** On the bound $\sigma = q/4$, so $r$ gets no gradient, and $\psi_p$ does not learn that
+# its $\sigma$ is too small. The gradient of $\sigma$ goes to $q$ instead, with the factor
+# $\frac14$. The bits now depend only on $(f-\mu)/q$, which gives the same gradient of $q$ in
+# another way: $\bar q = -\bar f\,(f-\mu)/q$.
 
 # %%
 sure = {name: np.array([[value]]) for name, value in (("r", math.log(0.02)), ("q", 0.2))}

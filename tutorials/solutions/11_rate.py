@@ -10,8 +10,8 @@ from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
 # %% [markdown]
 # **11.1** An anchor has $4 + 6 + 15 = 25$ numbers, and 22 of them stay. $\mathcal{L}_{rate}$ is
 # divided by all 2,500 parameters (choice `Q12`), so it falls from 3 to 2.64, and the slope of a
-# number that stays is $\frac{1}{2500} = 0.0004$ before and after: masking one child makes no other
-# number cheaper or dearer.
+# number that stays is $\frac{1}{2500} = 0.0004$ before and after: masking one child changes the
+# price of no other number.
 
 # %%
 sizes = {"bits_f": (100, 4), "bits_s": (100, 3), "bits_l": (100, 3), "bits_O": (100, 5, 3)}
@@ -49,7 +49,7 @@ lessons.check_backward("11.2", my_hash_backward, "hash_rate")
 # **11.3** Together there are $8$ of $16$ positive signs, so the slope
 # $\frac12\log_2\frac{N_-}{N_+}$ is 0 everywhere. With its own $p_+$, each level is pushed towards
 # the sign that it has more often: $\frac12\log_2\frac62 = 0.79$ in the first, and $-0.79$ in the
-# second. Signs of levels that differ then cost less, and the file holds one more count.
+# second. If levels differ, their signs then cost less, but the file holds one more count.
 
 # %%
 levels = [np.repeat([[0.5], [-0.5]], (n_pos, 8 - n_pos), axis=0) for n_pos in (2, 6)]

@@ -36,7 +36,7 @@ SYMBOLS = (
     Symbol("color", "c", "colours: red, green, blue"),
     Symbol("r", meaning="rotations: unit quaternions (w, x, y, z)"),
     Symbol("tau_alpha", meaning="threshold of the opacity"),
-    Symbol("index", meaning="which Gaussians are kept: child i of anchor a is number a k + i"),
+    Symbol("index", meaning="which Gaussians are kept: child j of anchor a is number a k + j"),
     Symbol("E", r"\mathcal{E}", "positional encoding"),
     Symbol("p", "", "what is encoded: positions or times", "radians"),
     Symbol("delta_x", r"\Delta x", unit="scene units"),
@@ -53,7 +53,7 @@ SYMBOLS = (
     Symbol("grids", r"\mathcal{H}", "binary hash grid: parameters of which the sign is used"),
     Symbol("mu", unit="units of the attribute"),
     Symbol("sigma", unit="units of the attribute"),
-    Symbol("bits", r"-\log_2 p", "bits of each value; in Eq. (17) of the scene", "bits"),
+    Symbol("bits", r"-\log_2 p", "bits of each value; in Eq. (17), of all values together", "bits"),
     Symbol("bits_f", r"-\log_2 p(\tilde f_a)", unit="bits"),
     Symbol("bits_s", r"-\log_2 p(\tilde s_a)", unit="bits"),
     Symbol("bits_l", r"-\log_2 p(\tilde l_a)", unit="bits"),
@@ -76,7 +76,7 @@ SYMBOLS = (
     Symbol("center", "c_x, c_y"),
     Symbol("mean2d", meaning="centres of the splats"),
     Symbol("cov2d", r"\Sigma_{2D}", "covariances of the splats, as (a, b, c)", "square pixels"),
-    Symbol("conic", "K", "their inverses, as (a, b, c) of [[a, b], [b, c]]"),
+    Symbol("conic", "K", "inverses of cov2d, as (a, b, c) of [[a, b], [b, c]]"),
     Symbol("depth", "z", "distance along the optical axis", "scene units"),
     Symbol("width", meaning="of the image", unit="pixels"),
     Symbol("transmittance", "T_N", "share of the background that a pixel shows"),
@@ -104,11 +104,11 @@ LEFT_OUT = {("mlp", "x"), ("mlp", "y"), "weights", "biases"}
 INTRODUCTION = """\
 # Glossary of symbols
 
-Letters are those of the paper, and of 3D Gaussian splatting in the section on it; where there is
-none, the column is empty. A name is that of an argument or a result in the code. A shape names the
-axes of an array, whose letters the last table explains; a scalar has none. Where the unit is empty,
-the quantity is a plain number. The equation that computes a symbol stands in bold, followed by
-those that use it. `python -m tutorials.tools.syllabus index` writes the file, mostly from the
+The letters are those of the paper; in the section "Splatting" they are those of 3D Gaussian
+splatting. A quantity without a letter has only a name, which is that of an argument or a result in
+the code. A shape lists the axes of an array by the letters of the last table; a scalar has no
+shape. A quantity without a unit is a plain number. The equation that computes a symbol is in bold;
+the others use it. `python -m tutorials.tools.syllabus index` writes this page, mostly from the
 comments in the code.
 """
 

@@ -269,8 +269,8 @@ def steps(figure, model, camera, t, truth, view, factors=(1, 4, 16)):
         )
 
 
-def knowledge(figure, file, level, side=160):
-    """Signs of the hash grid, sigma of the features at a height, and two symbols' distributions."""
+def knowledge(figure, file, side=160):
+    """Signs of the hash grid, sigma of the features at height 0, and two symbols' distributions."""
     a, b, *both = figure.subplot_mosaic("abc;abd", width_ratios=(1, 1, 1.05)).values()
     model, d = file.model, file.model.design.d
     (x, y, _), (x_end, y_end, _) = model.box
@@ -282,12 +282,12 @@ def knowledge(figure, file, level, side=160):
         xlabel="x (scene units)",
         ylabel="y (scene units)",
     )
-    plane = np.meshgrid(np.linspace(x, x_end, side), np.linspace(y, y_end, side), level)
+    plane = np.meshgrid(np.linspace(x, x_end, side), np.linspace(y, y_end, side), 0.0)
     over = context_at(model, np.stack(plane, axis=3).reshape(-1, 3))
     sigma = (over.sigma[:, :d] / over.q[:, :1]).mean(axis=1).reshape(side, side)
     image = b.imshow(sigma, cmap=AMOUNT, **place)
     figure.colorbar(image, ax=b, location="bottom", label="σ (steps)")
-    near = np.abs(model.anchors.x_a[:, 2] - level) < 0.15
+    near = np.abs(model.anchors.x_a[:, 2]) < 0.15
     b.plot(*model.anchors.x_a[near, :2].T, "o", color="white", mec=ANCHOR, ms=8)
     b.set(title="σ that they predict,\nand anchors there", xlabel="x (scene units)")
     at_anchors = context_at(model, model.anchors.x_a)
@@ -326,5 +326,12 @@ def bits(figure, data, camera, t, view):
     costs = [f"{w}: {sum(row):.0f}" for w, row in zip(("cheapest", "mean", "costliest"), rows)]
     right.set(yticks=range(3), yticklabels=costs, xlabel="bits of an anchor", ylim=(-0.5, 6.8))
     means = [f"{name}: {mean:.0f}" for name, mean in zip(PARTS, rows[1])]
-    right.legend(right.patches[: len(PARTS)], means, ncols=2, frameon=False, title="mean bits")
+    right.legend(
+        right.patches[: len(PARTS)],
+        means,
+        ncols=2,
+        handlelength=1,
+        frameon=False,
+        title="mean bits",
+    )
     return more

@@ -238,7 +238,7 @@ PICTURES = {  # title: the sentence to take home, and what fills the figure
     ),
     "7  Context": (
         "What both sides can guess costs little.",
-        lambda figure: show.knowledge(figure, FILE, level=0.0),
+        lambda figure: show.knowledge(figure, FILE),
     ),
     "8  Bits": ("Training minimises error + λ · bits; λ says what a bit may cost.", bits),
     "9  Bytes": ("Here networks are most of a file; in the paper anchors are.", parts),
