@@ -24,7 +24,7 @@ from typing import NamedTuple
 from p4dgs_ref.output import writable_folder
 from tutorials.tools.shared import FOLDER, in_few_bytes, run, write_text
 
-DPI = 80  # of the figures: most are 640 to 1,000 pixels wide
+DPI = 72  # of the figures: most are 600 to 950 pixels wide
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
