@@ -1,7 +1,7 @@
 """The four attributes of an anchor in the order in which they are coded, a row each.
 
-For what treats all four alike: coder, sections of the file, plots. What the pipelines and training
-do with f_a, s_a, l_a and O_a stands there, by name.
+Code that treats all four alike reads these rows: the coder, the sections of the file, plots. The
+pipelines and training call f_a, s_a, l_a and O_a by their names.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ class Attribute(NamedTuple):
     shape: tuple  # of an anchor's numbers; "d" and "k" are those of the Design
     is_log: bool  # whether its logarithm is trained (Q5)
     section: str  # of the file
-    base_step: str  # Q_0, a field of the preset
+    base_step: str  # the field of the preset that holds Q_0
     label: str  # in plots
 
     @property
@@ -33,7 +33,7 @@ class Attribute(NamedTuple):
         return "k" in self.shape
 
     def sizes(self, design):
-        """The shape in numbers."""
+        """The shape in numbers, for the d and k of a Design."""
         return tuple(getattr(design, n) if isinstance(n, str) else n for n in self.shape)
 
 

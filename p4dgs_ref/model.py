@@ -50,8 +50,8 @@ class Design:
     L_t: int  # frequencies of the positional encoding of t
     context: tuple  # hidden widths of psi_p and psi_q
     grid: tuple  # axes and resolution of each level: (("xyz", 8), ("xy", 16), ...) (Q11)
-    table: tuple  # the most entries that a level of a 3D grid and of a 2D grid may have
-    F: int  # features per grid node
+    table: tuple  # the most nodes that a 3D level and a 2D level of the grid store (Q11)
+    F: int  # entries of a node: features, +1 or -1
     Q_0: tuple  # base steps of f, s, l, O
     tau_alpha: float
     effects: tuple
@@ -119,7 +119,7 @@ class Anchors(NamedTuple):
     x_a: np.ndarray  # [A, 3]  positions (scene units)
     f_a: np.ndarray  # [A, d]  features
     s_a: np.ndarray  # [A, 3]  scales (scene units)
-    l_a: np.ndarray  # [A, 3]  how far the anchor reaches (scene units)
+    l_a: np.ndarray  # [A, 3]  offset scaling: how far the anchor reaches (scene units)
     O_a: np.ndarray  # [A, k, 3]  offsets of its children (multiples of l_a)
     mask: np.ndarray  # [A, k]  bool: which children are kept (Q15)
 
@@ -130,8 +130,8 @@ class Gaussians(NamedTuple):
     x: np.ndarray  # [N, 3]  centres
     s: np.ndarray  # [N, 3]  standard deviations
     r: np.ndarray  # [N, 4]  unit quaternions (w, x, y, z)
-    alpha: np.ndarray  # [N]
-    color: np.ndarray  # [N, 3]
+    alpha: np.ndarray  # [N]  opacities, from tau_alpha to 1
+    color: np.ndarray  # [N, 3]  in [0, 1]
     index: np.ndarray  # [N]  a k + i for child i of anchor a
 
 
@@ -193,8 +193,8 @@ def predict(design, networks, anchors, x_c, t=None):
         attributes {name: gradient} and of the networks {name: gradients}
     """
     f_a, effects = anchors.f_a, design.effects
-    unseen = f_a[:, :0], f_a[:, :0]
-    seen, back_view = unseen, None
+    seen = unseen = f_a[:, :0], f_a[:, :0]
+    back_view = None
     if "view_color" in effects or "view_geometry" in effects:
         seen, back_view = with_backward(view, anchors.x_a, x_c)
     for_color = seen if "view_color" in effects else unseen
@@ -206,7 +206,7 @@ def predict(design, networks, anchors, x_c, t=None):
     r, back_r = with_backward(rotation, f_a, *for_geometry, *networks["psi_r"])
     s, back_s = with_backward(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
     x, back_x = with_backward(offsets, anchors.x_a, anchors.O_a, anchors.l_a)
-    # From here on the kept ones alone, N of A k, in one list [N, ...]; `index` says which they are:
+    # From here on the N kept children alone, in one list [N, ...]; `index` says which they are:
     kept, back_kept = with_backward(masking, alpha, anchors.mask, design.tau_alpha, x, c, s, r)
     alpha_kept, x, c, s, r, index = kept
     back_move = None
@@ -304,14 +304,14 @@ class Model:
     background: np.ndarray  # [3]
 
     @property
-    def primitives(self) -> int:
+    def count(self) -> int:
         """The number of anchors."""
         return len(self.anchors.mask)
 
     def gaussians(self, t: float | None, camera: Camera) -> Gaussians:
         """The Gaussians at time t in [0, 1] for this camera; None gives the canonical ones.
 
-        Raises ValueError for NaN.
+        Raises ValueError for a time that is NaN or infinite.
         """
         if t is not None and not np.isfinite(t):
             raise ValueError(f"t: expected a number, got {t}")

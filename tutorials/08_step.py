@@ -45,7 +45,7 @@ def rounded(anchors):
 
 
 clean = model.render(camera, tour.T)
-damage = [np.sum((rounded(a).render(camera, tour.T) - clean) ** 2) for a in range(model.primitives)]
+damage = [np.sum((rounded(a).render(camera, tour.T) - clean) ** 2) for a in range(model.count)]
 most, median = np.quantile(damage, (0.9, 0.5))
 print(f"a tenth of the anchors suffers at least {most / median:.0f} times as much as the median")
 assert most > 15 * median
@@ -230,12 +230,12 @@ from p4dgs_ref import load_scene
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.settings import FAST
 
-seen = np.zeros(model.primitives)
+seen = np.zeros(model.count)
 for view in load_scene("bouncing").train:
     *gaussians, index = model.gaussians(view.time, view.camera)
     (image, *_), saved = render.forward(*gaussians, view.camera, model.background, FAST)
     pixels = render.backward(saved, np.ones_like(image))["color"][:, 0]
-    seen += np.bincount(index // model.design.k, pixels, model.primitives) > 0.25
+    seen += np.bincount(index // model.design.k, pixels, model.count) > 0.25
 ranks = [spearmanr(seen, column).statistic for column in shares.T]
 least, most = (shares[seen <= np.quantile(seen, 0.25)], shares[seen >= np.quantile(seen, 0.75)])
 print("rank correlations of f, s, l, O:", np.round(ranks, 2))

@@ -109,7 +109,7 @@ assert h == 0.75
 product = 3 * 2654435761 % 2**32
 print("product", product, "| XOR", product ^ 2, "| row", (product ^ 2) % 11)
 corner, cell = np.array([[2, 3]]), np.array([[0, 0]])
-assert grid_nodes.entries(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 entries
+assert grid_nodes.table_rows(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 entries
 
 # %% [markdown]
 # ## In code

@@ -40,25 +40,15 @@ def page():
         },
         "From the arrays to a picture": PICTURE.read_text(encoding="utf-8"),
     }
-    return numbered("The file format of p4dgs_ref", texts)
-
-
-def numbered(title, texts):
-    """A page of texts under numbered headings, {heading: text}."""
-    page = f"{title}\n"
+    whole = "The file format of p4dgs_ref\n"
     for number, (name, text) in enumerate(texts.items(), 1):
         heading = f"{number}. {name}"
-        page += f"\n\n{heading}\n{'=' * len(heading)}\n\n{text.strip()}\n"
-    return page
-
-
-def print_page(room, page):
-    """Print the page of a room; exit code 2 where Python has removed the docstrings (-OO)."""
-    if sys.flags.optimize > 1:
-        sys.stderr.write(f"{room}: the page consists of docstrings; expected Python without -OO\n")
-        sys.exit(2)
-    print(page(), end="")
+        whole += f"\n\n{heading}\n{'=' * len(heading)}\n\n{text.strip()}\n"
+    return whole
 
 
 if __name__ == "__main__":
-    print_page(__package__, page)
+    if sys.flags.optimize > 1:  # Python has removed the docstrings
+        sys.stderr.write("the page consists of docstrings; expected Python without -OO\n")
+        sys.exit(2)
+    print(page(), end="")

@@ -21,8 +21,8 @@ The section ids are
 
 The rows of the table, and therefore the sections, stand in strictly ascending order of id, so no
 section occurs twice. The total length equals 18 + 9 S plus the lengths of all sections, and it is
-the size of the file: every byte belongs to something. The numbers that a header may promise never
-need more than 2^29 bytes.
+the size of the file: every byte belongs to something. No model within the limits of the header
+(`header.py`) needs more than 2^29 bytes.
 
 A reader checks, in this order: the size (at least 18 bytes), magic, version, S, total length, the
 checksum of the table, the ids and their order, the sum of the lengths, and the checksum of every

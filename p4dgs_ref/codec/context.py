@@ -140,7 +140,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..equations.grid_nodes import entries
+from ..equations.grid_nodes import table_rows
 from ..equations.prior import RAW_MAX, RAW_MIN, layout
 from ..model import GROUPS, LATTICE
 from .gaussian_table import MU_BITS, MU_LIMIT, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, lookup_table
@@ -167,12 +167,12 @@ def exponent(values):
     return int(np.frexp(np.abs(values).max(initial=0.0))[1])
 
 
-def halve(values, s):
-    """values / 2^s rounded to the nearest integer, ties up: integers held in float64, s > 0."""
+def round_off(values, s):
+    """values / 2^s rounded to the nearest integer, ties up, where s > 0; integers in float64."""
     return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
 
 
-def whole_layers(weights, biases):
+def integer_layers(weights, biases):
     """The layers of a network in integers, from the weights and biases in the file."""
     layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
     for W, b in zip(weights, biases):
@@ -197,7 +197,7 @@ def product(x, W):
 def run_network(x, layers):
     """The outputs y [A, J] of the last layer for inputs x [A, I] in units of 2^-15, |x| <= 2^15."""
     for layer in layers[:-1]:
-        x = np.maximum(halve(product(x, layer.W) + layer.b, layer.s), 0.0)
+        x = np.maximum(round_off(product(x, layer.W) + layer.b, layer.s), 0.0)
     return product(x, layers[-1].W) + layers[-1].b
 
 
@@ -206,7 +206,7 @@ def rescale(y, unit, bits, limit):
     s = unit - bits
     if s < 0:  # few fractional bits: clip first, so that the multiplication stays exact
         y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
-    return np.clip(halve(y, s), -limit, limit).astype(np.int64)
+    return np.clip(round_off(y, s), -limit, limit).astype(np.int64)
 
 
 def log2(values):
@@ -234,7 +234,7 @@ def hash_feature(positions, grids, design):
         base, t = place // LATTICE, (place % LATTICE).astype(float)
         corner = np.indices([2] * len(axes)).reshape(len(axes), -1).T
         weight = np.where(corner, t[:, None, :], LATTICE - t[:, None, :]).prod(axis=2)
-        signs = grid.take(entries(base, corner, res, len(grid)), axis=0)  # [A, 2^D, F]
+        signs = grid.take(table_rows(base, corner, res, len(grid)), axis=0)  # [A, 2^D, F]
         # Exact in any order: sums of integers below 2^48.
         v = np.einsum("ac,acf->af", weight, signs).astype(np.int64)
         unit = LATTICE ** len(axes) >> INPUT_BITS
@@ -255,7 +255,7 @@ def coding_context(design, networks, grids, positions):
     `networks` hold float16 numbers and `grids` +1 and -1, as in the file. P-4DGS Eqs. (8), (9) and
     (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
     """
-    psi_q, psi_p = (whole_layers(*networks[name]) for name in ("psi_q", "psi_p"))
+    psi_q, psi_p = (integer_layers(*networks[name]) for name in ("psi_q", "psi_p"))
     columns = len(design.grid) * design.F, 8 * max(design.F, 3), 2 * sum(design.widths)
     rows = CHUNK // max(*columns, *design.context)
     parts = [
@@ -283,7 +283,7 @@ def context_of(h, psi_q, psi_p, design):
     y, bits = run_network(h, psi_p), psi_p[-1].bits
     mu_columns, raw_columns = layout(design.widths)
     t = max(0, psi_p[-1].bound.bit_length() - 28)
-    m = halve(y[:, mu_columns], t).astype(np.int64)
+    m = round_off(y[:, mu_columns], t).astype(np.int64)
     S = bits - t + p + n - (MU_BITS - 8)
     mu_units = shift(m * R[:, group], S[:, group])
 

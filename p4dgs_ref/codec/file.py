@@ -148,7 +148,7 @@ def sections_of(quantised):
     for name, members in NETWORK_SECTIONS.items():
         present = {member: model.networks[member] for member in members if member in model.networks}
         if present:
-            sections[name] = write_networks(present, model)
+            sections[name] = write_networks(present)
     try:
         check_work(model.design, len(model.anchors.mask), sum(map(len, sections.values())))
     except BitstreamError as error:
@@ -181,7 +181,7 @@ def quantised_of(sections):
     design, A, background = read_header(sections["header"])
     check_work(design, A, sum(map(len, sections.values())))
     check_presence(sections, design.layers())
-    box, positions = read_positions(sections["positions"], A, design)
+    box, positions = read_positions(sections["positions"], A)
     networks, layers = {}, design.layers()
     for name, members in NETWORK_SECTIONS.items():
         shapes = {member: layers[member] for member in members if member in layers}
@@ -192,7 +192,7 @@ def quantised_of(sections):
 
 
 def decode_attributes(sections, model, positions):
-    """The quantised model, from all that its file holds as plain numbers."""
+    """Decode grids, masks and attributes of a model whose other parts have been read."""
     design, A = model.design, len(positions)
     grids = read_grids(sections["hash_grid"], design)
     mask = decode_bits(sections["masks"], A * design.k, "masks").reshape(A, design.k)

@@ -83,7 +83,7 @@ HALF = 1 << MU_BITS - 1  # half a symbol
 CHUNK, TABLES = 1 << 15, 1 << 12  # symbols and tables processed at a time, to fit the cache
 
 
-class Model(NamedTuple):
+class EntropyModel(NamedTuple):
     """The frequency tables of n symbols, in the form that `rans` takes: U tables in one array."""
 
     keys: np.ndarray  # [E+1]  (u << 24) + cum of every entry of every table u, then U << 24
@@ -110,7 +110,7 @@ def shape_of(sigma_units):
 
 
 def gaussian_model(mu_units, sigma_units):
-    """The model of n symbols, from integers mu_units [n] and sigma_units [n].
+    """The EntropyModel of n symbols, from integers mu_units [n] and sigma_units [n].
 
     They lie in the ranges above. Symbols with the same deviation and the same place of mu' in its
     block share one table. P-4DGS Eqs. (11) and (12).
@@ -140,7 +140,7 @@ def gaussian_model(mu_units, sigma_units):
     _, _, low, reach = shape_of(sigma_units)
     entries = 2 * reach + 2
     keys = np.concatenate([*parts, [len(pairs) << PRECISION]])
-    return Model(keys, np.cumsum(entries) - entries, entries - 1, low, pair, lowest)
+    return EntropyModel(keys, np.cumsum(entries) - entries, entries - 1, low, pair, lowest)
 
 
 def keys_of(sigma_units, place):

@@ -139,7 +139,7 @@ def require_header(holds, message):
 
 
 def field(holds, expected, convert=lambda value: value):
-    """The reader of a field whose value meets a condition, which it converts."""
+    """A reader that checks a field's value by the condition `holds` and converts it."""
 
     def read(name, value):
         require_header(holds(value), f"field {name!r}: expected {expected}")
@@ -157,7 +157,7 @@ def integer(most):
 
 
 def whole_number(digits):
-    """The integer of a JSON text, or the nearest double where it is beyond every field."""
+    """The integer that is written, or the nearest double where it has too many digits."""
     return int(digits) if len(digits) < MAX_DIGITS else float(digits)
 
 

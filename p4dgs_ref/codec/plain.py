@@ -20,7 +20,7 @@ def write_positions(model, positions):
     return write_box(model.box) + positions.astype("<u2").tobytes()
 
 
-def read_positions(data, A, design):
+def read_positions(data, A):
     """The box, two float32 arrays [3], and the positions [A, 3] int64."""
     size = BOX_BYTES + 6 * A
     message = f"expected {size} bytes for {A} anchors, found {len(data)}"
@@ -77,8 +77,8 @@ def networks_of(numbers, shapes):
     return networks
 
 
-def write_networks(networks, model):
-    """All numbers of some networks of a model as float16."""
+def write_networks(networks):
+    """All numbers of some networks as float16."""
     return network_numbers(networks).astype("<f2").tobytes()
 
 

@@ -71,7 +71,7 @@ def quantise_attributes(model, positions):
         for i, grid in enumerate(model.grids)
     ]
     model = replace(model, grids=grids, background=np.array(model.background, float))
-    design, anchors = as_decoded(model), model.anchors
+    design, anchors = decoded_design(model), model.anchors
     kept = coded_columns(anchors.mask, design)
     ctx = coding_context(design, model.networks, grids, positions)
     symbols = round_attributes(np.where(kept, join(anchors), 0), ctx.q, design)
@@ -157,7 +157,7 @@ def round_box(box):
     return lo, hi
 
 
-def as_decoded(model):
+def decoded_design(model):
     """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
     try:
         return read_header(write_header(model))[0]

@@ -77,6 +77,7 @@ import numpy as np
 from .container import BitstreamError, require
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
+# The total of a table's frequencies; masks of the bits of a slot and of a word.
 CERTAIN, SLOT, LOW_WORD = 1 << PRECISION, (1 << PRECISION) - 1, (1 << WORD) - 1
 MAX_LANES, MIN_LANES, BITS_PER_LANE = 1024, 32, 5000
 PIECE = 8 * MAX_LANES  # numbers converted to Python integers at a time: whole rows

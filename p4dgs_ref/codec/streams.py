@@ -59,7 +59,7 @@ from .container import require
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_SYMBOL = 2**31  # magnitude of a coded number
-MAX_GAMMA = 33
+MAX_GAMMA = 33  # of the b of an escape
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
@@ -224,7 +224,7 @@ def decode_bits(data, count, section="stream"):
     end = 4 if count else 0
     require(len(data) >= end, section, len(data), "the data end before the probability")
     f = int.from_bytes(data[:end], "little")
-    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24")
+    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24, expected at most 1")
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:

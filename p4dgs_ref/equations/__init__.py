@@ -1,7 +1,8 @@
 """The paper, one file an equation, listed here in the order of the paper. Read them in this order.
 
-Spatial prediction turns anchors into Gaussians: `offsets` (Eq. 1), `view` (2), `anchor_network`,
-`opacity` (3), `masking`, `color` and `rotation` (3 by analogy), `scale` (4).
+Spatial prediction turns anchors into Gaussians: `offsets` (Eq. 1), `view` (2), `mlp`, the network
+behind every psi, `anchor_network`, `opacity` (3), `masking`, `color` and `rotation` (3 by analogy),
+`scale` (4).
 
 Temporal prediction moves the Gaussians: `positional_encoding`, `deformation` (5), `deformed` (6).
 
@@ -12,6 +13,6 @@ Entropy coding predicts the bits of the anchors: `noise` (7), `step` (8), `grid_
 The training objective weighs the bits against the error of the image: `total_loss` (15), `window`,
 `ssim` and `render_loss` (16), `rate_loss` (17).
 
-`mlp` is the network behind every psi. `numerics` has the functions whose textbook form loses
-digits. `table` lists the equations with their formulas.
+`numerics` has the functions whose textbook form loses digits. `table` lists the equations with
+their formulas.
 """

@@ -1,11 +1,11 @@
-"""Which entries of a multi-resolution hash grid surround a point, and how much each of them weighs.
+"""Which nodes of a multi-resolution hash grid surround a point, and how much each of them weighs.
 
 A level covers the box with `res` nodes along each of its axes. A point reads the corners of the
-cell around it with multilinear weights. The entry of node (i, j, k), in the order of the level's
-axes, is
+cell around it with multilinear weights. The level's table has T rows of F entries each; a hashed
+row may belong to several nodes. Node (i, j, k), in the order of the level's axes, has the row
 
-    i + j res + k res**2                                     where the level's table holds all nodes
-    (i XOR 2654435761 j XOR 805459861 k) mod table size      elsewhere, products modulo 2**32
+    i + j res + k res**2                           where the table holds all nodes
+    (i XOR 2654435761 j XOR 805459861 k) mod T     elsewhere, products modulo 2**32
 
 This is the hash of Instant-NGP. Nodes on the border are included, HAC excludes them (Q11).
 """
@@ -19,9 +19,9 @@ PRIMES = np.array([1, 2654435761, 805459861], np.uint32)  # one for each axis of
 def locate(x_a, lo, hi, resolutions, tables):
     """Return the weights of all anchors [A, 3] in all levels as one sparse matrix [A L, sum of T].
 
-    `tables` lists the number of entries T of every level. Row a L + l holds the weights of anchor
-    a in level l; the columns are the entries, level by level. Reading the grids is then one
-    product with this matrix, and their gradient one with its transpose.
+    `tables` lists the number of rows T of every level's table. Row a L + i of the matrix holds the
+    weights of anchor a in level i; its columns are the rows of all tables. Reading the grids is
+    then one product with this matrix, and their gradient one with its transpose.
     """
     A, L, starts = len(x_a), len(resolutions), np.cumsum([0, *tables])
     columns, weights = [], []
@@ -31,17 +31,17 @@ def locate(x_a, lo, hi, resolutions, tables):
         weights.append(weight)
     per_row = [index.shape[1] for index in columns]
     row_starts = np.cumsum([0, *(A * per_row)])
-    entries_read = np.concatenate(columns, axis=1).ravel()
-    values = np.concatenate(weights, axis=1).ravel()
-    return csr_matrix((values, entries_read, row_starts), shape=(A * L, starts[-1]))
+    columns, weights = (np.concatenate(parts, axis=1).ravel() for parts in (columns, weights))
+    return csr_matrix((weights, columns, row_starts), shape=(A * L, starts[-1]))
 
 
 def nodes(x_a, lo, hi, axes, res, table):
-    """Return the entries [A, 2**D] int64 around every anchor in a level of D axes, and weights.
+    """Return the table rows [A, 2**D] int64 of the nodes around every anchor, and their weights.
 
-    The weights of an anchor add up to 1. Positions outside the box are moved to its nearest face;
-    on an axis without extent (hi = lo) all anchors are at the first node. Raises ValueError for an
-    axis other than x, y, z, for a position that is NaN and for a box that is not finite.
+    D is the number of the level's axes. The weights of an anchor add up to 1. Positions outside the
+    box are moved to its nearest face; on an axis without extent (hi = lo) all anchors are at the
+    first node. Raises ValueError for an axis other than x, y, z, for a position that is NaN and for
+    a box that is not finite.
     """
     axis = ["xyz".index(name) for name in axes]
     wrong = np.argwhere(np.isnan(x_a))
@@ -58,11 +58,11 @@ def nodes(x_a, lo, hi, axes, res, table):
     step = np.indices((2,) * len(axis)).reshape(len(axis), -1).T  # [2**D, D]: the cell's corners
     fraction = (position - base)[:, None, :]
     weight = np.where(step, fraction, 1 - fraction).prod(axis=2)
-    return entries(base.astype(np.int64), step, res, table), weight
+    return table_rows(base.astype(np.int64), step, res, table), weight
 
 
-def entries(base, step, res, table):
-    """Return the entries [A, 2**D] of the nodes base [A, D] + step [2**D, D], as defined above."""
+def table_rows(base, step, res, table):
+    """Return the rows [A, 2**D] of the nodes base [A, D] + step [2**D, D], as defined above."""
     # On the upper face the fraction is 0: the corner beyond it weighs nothing and is folded back.
     corner = np.minimum(base[:, None, :] + step, res - 1)
     D = base.shape[1]

@@ -18,7 +18,7 @@ def forward(
     grids,  # list of [T, F], one a level: parameters, of which only the sign is used
     resolutions,  # for every level its axes and nodes per axis: (("xyz", 8), ("xy", 16), ...)
 ):
-    """Return h [A, I], level by level with F features each, and what `backward` needs.
+    """Return h [A, I], F numbers for each level in turn (I = L F), and what `backward` needs.
 
     Raises ValueError where grids and resolutions differ in number, where a position is NaN or where
     the box is not finite.
@@ -33,8 +33,8 @@ def backward(saved, h_bar):
     elsewhere.
     """
     located, inside = saved
-    entries_bar = located.T @ h_bar.reshape(-1, inside[0].shape[1])
-    levels = np.split(entries_bar, np.cumsum([len(level) for level in inside])[:-1])
+    rows_bar = located.T @ h_bar.reshape(-1, inside[0].shape[1])
+    levels = np.split(rows_bar, np.cumsum([len(level) for level in inside])[:-1])
     return {"grids": [level * free for level, free in zip(levels, inside)]}
 
 

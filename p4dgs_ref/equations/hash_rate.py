@@ -34,9 +34,9 @@ def backward(saved, R_hash_bar):
     grids, n_pos, n = saved
     slope = 0.0
     if 0 < n_pos < n:
-        # dR / dN_pos = log2(N_neg / N_pos). The probabilities move with the counts, but they are
-        # the best ones for them, where R has slope 0. An entry b adds (1 + b) / 2 to N_pos: hence
-        # one half.
+        # dR / dN_pos = log2(N_neg / N_pos): the probabilities change with the counts, too, but they
+        # minimise R for these counts, so that this adds nothing. A sign adds (1 + sign) / 2 to
+        # N_pos, hence one half.
         slope = 0.5 * np.log2((n - n_pos) / n_pos) * float(R_hash_bar)
     return {"grids": [np.where(np.abs(grid) <= 1, slope, 0).astype(grid.dtype) for grid in grids]}
 

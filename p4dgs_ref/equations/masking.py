@@ -18,10 +18,10 @@ def forward(
     s,  # [A, k, 3]  standard deviations
     r,  # [A, k, 4]  quaternions
 ):
-    """Gather the N Gaussians that are kept from children of anchors into one flat list.
+    """Gather the N children that are kept into one flat list of Gaussians.
 
-    Return alpha [N], x [N, 3], color [N, 3], s [N, 3], r [N, 4] and index [N], which is a k + i in
-    ascending order, and what `backward` needs.
+    Return alpha [N], x [N, 3], color [N, 3], s [N, 3], r [N, 4], index [N] and what `backward`
+    needs. index holds a k + i for child i of anchor a, in ascending order.
     """
     index = np.flatnonzero(mask & (alpha >= tau_alpha))
     kept = [a.reshape(alpha.size, a.shape[2]).take(index, axis=0) for a in (x, color, s, r)]

@@ -21,7 +21,7 @@ def tanh_slope(y):
 
 
 def in_precision_of(x, number):
-    """`number`, converted so that a scalar x times or divided by it keeps its precision.
+    """`number`, converted so that a scalar x keeps its precision in a product or quotient with it.
 
     NumPy 1 returns float64 for a float32 scalar times a Python number, NumPy 2 float32.
     """

@@ -41,5 +41,5 @@ def backward(saved, E_bar):
 
 
 def powers_of_two(L, dtype):
-    """1, 2, 4, ..., 2^(L-1), computed as integers."""
-    return (1 << np.arange(L)).astype(dtype)
+    """1, 2, 4, ..., 2^(L-1), exact; as an int64, 2^63 would be negative."""
+    return np.ldexp(1.0, np.arange(L)).astype(dtype)

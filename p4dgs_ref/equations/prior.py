@@ -21,7 +21,7 @@ def forward(
 ):
     """Return mu [A, n], sigma [A, n] (units of the attribute) and what `backward` needs.
 
-    The gradient of log sigma is 1 inside its clamp and on the ends, 0 outside.
+    The clamp of log sigma passes the gradient inside and on its ends and stops it outside.
     """
     psi_p, saved_mlp = mlp.forward(h, weights, biases)
     mu_columns, raw_columns = layout(widths)

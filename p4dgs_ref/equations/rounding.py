@@ -2,7 +2,8 @@
 
     f_hat = round(f / q) * q
 
-P-4DGS, section 3.3 (adaptive quantisation). Ties round to even and the grid is centred at 0 (Q19).
+P-4DGS, section 3.3 (adaptive quantisation). Ties round to even, and all rounded values are
+multiples of q: the mean of Eq. (12) does not shift them (Q19).
 """
 
 import numpy as np

@@ -18,7 +18,7 @@ that E[x**2] - mu**2 loses in flat regions affect only the denominators.
 
 import numpy as np
 
-from .window import blur, moments, to_rows
+from .window import blur, to_rows
 
 C1, C2 = 0.01**2, 0.03**2
 
@@ -35,8 +35,8 @@ def forward(
 def backward(saved, ssim_bar):
     """Gradient of the image; smooth everywhere and exactly 0 where the images are equal."""
     x, e, mu_x, mu_e, luminance, structure, D1, D2, dtype = saved
-    # In the forward SSIM = mean of (1 - luminance) (1 - structure), so each of the two gets minus
-    # the other factor.
+    # In the forward SSIM = mean of (1 - luminance) (1 - structure), so the gradient of each of the
+    # two is minus the other one's factor.
     share = ssim_bar / x.size
     # In the forward structure = (square_e - mu_e**2) / D2, so square_e gets 1 / D2, and square_x,
     # which is a term of D2 alone, gets -structure / D2.
@@ -55,13 +55,14 @@ def backward(saved, ssim_bar):
 
 def dissimilarity(image, truth):
     """Return 1 - SSIM in float64 and what `backward` needs."""
-    y, mu_y, var_y = moments(truth)
+    y = to_rows(truth)
+    mu_y, square_y = blur(np.stack([y, y * y], axis=1)).swapaxes(0, 1)
     x = to_rows(image)
     e = x - y
     mu_e, square_e, square_x = blur(np.stack([e, e * e, x * x], axis=1)).swapaxes(0, 1)
     mu_x = mu_y + mu_e
     D1 = mu_x * mu_x + mu_y * mu_y + C1
-    D2 = square_x - mu_x * mu_x + var_y + C2
+    D2 = square_x - mu_x * mu_x + (square_y - mu_y * mu_y) + C2
     luminance = mu_e * mu_e / D1
     structure = (square_e - mu_e * mu_e) / D2
     D_SSIM = np.mean(luminance + structure - luminance * structure)

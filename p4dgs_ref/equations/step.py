@@ -1,9 +1,9 @@
-"""Eq. (8): how finely each anchor's attributes are quantised, learned from the hash feature.
+"""Eq. (8): the quantisation steps of every anchor, predicted from its hash feature.
 
     q = Q_0 * (1 + tanh(psi_q(h)))
 
 P-4DGS, section 3.3 (adaptive quantisation). Computed as 2 Q_0 sigmoid(2 psi_q), which is the same
-number but keeps its digits where tanh is close to -1, and never below 2**-10 Q_0, so that f / q
+number but keeps its digits where tanh is close to -1. It is never below 2**-10 Q_0, so that f / q
 stays finite (Q7).
 """
 

@@ -25,7 +25,7 @@ def forward(
 def backward(saved, delta_vc_bar, d_vc_bar):
     """Gradient of x_a; the camera is data."""
     delta_vc, d_vc = saved
-    # Only a step perpendicular to the line of sight turns the direction, and less from far away.
+    # The direction changes only where the anchor moves perpendicular to it, and less from far away.
     turning = perpendicular(d_vc, d_vc_bar) / nonzero(delta_vc)
     return {"x_a": d_vc * delta_vc_bar + turning}
 

@@ -33,19 +33,9 @@ def blur(a):
 
 
 def blocks(n):
-    """Cut n rows into blocks: the block, the rows that it is an average of, and their weights."""
+    """Yield every block of n rows, the rows of which it holds averages, and their weights."""
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
         low, high = max(start - RADIUS, 0), min(start + BLOCK + RADIUS, n)
         window = WINDOW[: stop - start, low - start + RADIUS : high - start + RADIUS]
         yield slice(start, stop), slice(low, high), window
-
-
-def moments(truth):
-    """The true image [H, W, C] as rows, its local mean and its local variance, each [H, C, W].
-
-    They are the same each time a view is visited, so that a trainer may keep them.
-    """
-    y = to_rows(truth)
-    mu, square = blur(np.stack([y, y * y], axis=1)).swapaxes(0, 1)
-    return y, mu, square - mu * mu

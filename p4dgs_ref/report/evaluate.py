@@ -95,7 +95,7 @@ def evaluate(
         "size": size,
         **{key: mean(key) for key in ("psnr_db", "psnr_fg_db", "ssim")},
         "render_fps": float(1 / np.median(seconds)),
-        "anchors": model.primitives,
+        "anchors": model.count,
         "gaussians": int(np.median([len(model.gaussians(v.time, v.camera).alpha) for v in views])),
     }
     return metrics, rows, images

@@ -5,8 +5,9 @@ which one would explain it. It starts from 2D splats; these come from `covarianc
 quaternion to a 3 x 3 matrix), `camera` and `projection` (3D Gaussian to 2D splat).
 
 `covariance`, `projection` and `compositing` are the definitions, and rows of the table of equations
-(`table`). Training and rendering run twins of them, which tests compare: `factored` for the first
-two, because needles keep their digits in it, and `tiles` and `fast`, lists of Gaussians for each
-tile of the image, for the third, which evaluates every Gaussian at every pixel. `render` chains
-them, and `settings` holds the constants and says what may be left out.
+(`table`). Training and rendering run twins of them, which tests compare. `factored` is the twin of
+the first two; it keeps the digits of needles, Gaussians that are very long and thin. `compositing`
+evaluates every Gaussian at every pixel; its twin `fast` evaluates those that `tiles` lists for each
+tile of the image. `render` chains these, and `settings` holds the constants and says what may be
+left out.
 """

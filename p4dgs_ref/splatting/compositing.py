@@ -34,9 +34,9 @@ def forward(
     transmittance = np.empty(height * width, mean2d.dtype)
     for pixels, x, y in pixel_blocks(height, width, len(order), mean2d.dtype):
         A = alphas(*splats, x, y)[0]
-        T, behind = transmittances(A, occlusion)
-        image[pixels] = (A * T).T @ color[order] + behind[:, None] * background
-        transmittance[pixels] = behind
+        T, T_N = transmittances(A, occlusion)
+        image[pixels] = (A * T).T @ color[order] + T_N[:, None] * background
+        transmittance[pixels] = T_N
     saved = (order, splats, color, background, occlusion)
     return (image.reshape(height, width, 3), transmittance.reshape(height, width)), saved
 
@@ -50,22 +50,22 @@ def backward(saved, image_bar, transmittance_bar=None):
     mean2d, conic, alpha, alpha_max = splats
     height, width, _ = image_bar.shape
     dtype, M, color = mean2d.dtype, len(order), all_colors[order]
-    g, h = image_bar.reshape(-1, 3), np.zeros(height * width, dtype)
+    g, T_N_bar = image_bar.reshape(-1, 3), np.zeros(height * width, dtype)
     if transmittance_bar is not None:
-        h += transmittance_bar.reshape(-1)
+        T_N_bar += transmittance_bar.reshape(-1)
     a, b, c = conic.T[:, :, None]
     color_bar, background_bar = np.zeros((M, 3), dtype), np.zeros(3, dtype)
     sums = np.zeros((6, M), dtype)  # over all pixels, for every Gaussian
     for pixels, x, y in pixel_blocks(height, width, M, dtype):
         A, falloff, e_x, e_y = alphas(mean2d, conic, alpha, alpha_max, x, y)
-        T, transmittance = transmittances(A, occlusion)
+        T, T_N = transmittances(A, occlusion)
         color_bar += (A * T) @ g[pixels]
-        background_bar += transmittance @ g[pixels]
+        background_bar += T_N @ g[pixels]
         V = color @ g[pixels].T  # what a pixel gains per unit of weight of Gaussian i
         if occlusion:
-            # `behind` is the value seen through layer i, dL / d alpha_i = T_i (V_i - behind): in
-            # this form nothing is divided by 1 - alpha.
-            behind = g[pixels] @ background + h[pixels]
+            # `behind` is what the pixel gains from all that lies behind layer i. In the form
+            # dL / d alpha_i = T_i (V_i - behind) nothing is divided by 1 - alpha.
+            behind = g[pixels] @ background + T_N_bar[pixels]
             for i in reversed(range(M)):
                 V[i] -= behind
                 behind += A[i] * V[i]

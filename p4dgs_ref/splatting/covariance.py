@@ -4,7 +4,7 @@
 
 Kerbl et al. 2023 (3DGS), Eq. (6); P-4DGS uses it without a number. Computed as M M^T with
 M = R diag(s). Training and rendering run `factored`, which takes R(r) from here and does not form
-Sigma: of a needle's Sigma the thin axis is lost where its scale is below 1e-8 of the long one.
+Sigma, because Sigma loses an axis whose scale is below 1e-8 of the longest one's.
 """
 
 import numpy as np
@@ -41,7 +41,7 @@ def rotation_matrix(r):
 
 
 def rotation_backward(r, R_bar):
-    """The plain derivative [N, 4], not projected on the unit sphere."""
+    """The gradient of r [N, 4], the plain derivative, from that of the matrices."""
     w, x, y, z = r.T
     (a, b, c), (d, e, f), (g, h, i) = R_bar.transpose(1, 2, 0)
     w_bar = z * (d - b) + y * (c - g) + x * (h - f)

@@ -1,9 +1,9 @@
 """Covariance and projection as training and rendering run them: Sigma stays in its factors s and R.
 
-`covariance` and `projection` say what is computed. Of a needle, they lose digits twice: Sigma loses
-the thin axis where its scale is below 1e-8 of the long one, and the determinant cancels. Here
-neither happens, whatever the needle's length. With the rows m_1, m_2 of m = J W R, n = m_1 x m_2
-and S = diag(s)^2,
+`covariance` and `projection` say what is computed. For a needle, a very long and thin Gaussian,
+they lose digits twice: Sigma loses an axis whose scale is below 1e-8 of the longest one's, and the
+determinant of the splat is a difference of nearly equal numbers. Here neither happens, whatever the
+needle's length. With the rows m_1, m_2 of m = J W R, n = m_1 x m_2 and S = diag(s)^2,
 
     det = n^T adj(S) n + blur (m_1^T S m_1 + m_2^T S m_2) + blur^2
     K m = ((S m_2) x n + blur m_1, n x (S m_1) + blur m_2) / det

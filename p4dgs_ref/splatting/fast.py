@@ -9,9 +9,11 @@ and the six monomials are the same for every tile. The alphas of several splats 
 therefore one product with a constant matrix and one exp. A loop over depth ranks (first splat of
 every tile, second splat of every tile, ...) then composites these tiles at once. In the backward
 pass the transposed product returns the six moments of the gradient, from which the gradients of
-mean, conic and opacity follow in closed form. The cost follows the listed pairs, not N H W. Tiles
-are taken in groups, and without gradients the memory follows a group, not the image. With gradients
-it follows the alphas alone where there are several groups.
+mean, conic and opacity follow in closed form.
+
+The time is proportional to the number of listed pairs, not to N H W. Tiles are taken in groups.
+Without gradients, only one group's alphas are in memory. With gradients, the alphas of all groups
+are kept, and their weights only where there is a single group.
 
 The lists by tile are those of Kerbl et al. 2023 (3DGS), the arrangement by ranks is this project's.
 `settings` says which pairs are listed and when a tile stops (Q21).
@@ -66,19 +68,19 @@ def forward(
         mean2d, cov2d, conic, alpha, depth, visible, width, height, settings, occlusion
     )
     if lists is None:
-        looks, cut = (cov2d, conic, alpha, color, depth, visible, background), height // side // 2
+        others, cut = (cov2d, conic, alpha, color, depth, visible, background), height // side // 2
         cut = max(cut, 1) * side
         inputs = [
-            (mean2d - (0, top), *looks, rows, width, settings, occlusion)
+            (mean2d - (0, top), *others, rows, width, settings, occlusion)
             for top, rows in ((0, cut), (cut, height - cut))
         ]
         pictures = zip(*(forward(*half, keep=False)[0] for half in inputs))
         return tuple(map(np.concatenate, pictures)), Halves(cut, inputs) if keep else None
     count = np.bincount(lists.tile, minlength=lists.columns * lists.rows)
-    start, M = np.cumsum(count) - count, len(lists.row)
+    start, M = np.cumsum(count) - count, len(lists.splat)
     splats = columns_of(mean2d, conic, alpha)
     coefficients = polynomials(at_pairs(splats, lists, side), dtype)
-    paint = np.concatenate([color[lists.row], np.zeros((1, 3))]).astype(dtype)
+    pair_colors = np.concatenate([color[lists.splat], np.zeros((1, 3))]).astype(dtype)
     clamps = alpha.max(initial=0) > settings.alpha_max
     T = np.ones((len(count), side * side), dtype)
     image = np.zeros((len(count), 3, side * side), dtype)
@@ -100,7 +102,7 @@ def forward(
                 coefficients.take(pairs, axis=0), light, dark, settings, occlusion, clamps, keep
             )
             T[tiles], stopped[tiles] = light, dark
-            colors = paint.take(pairs, axis=0).transpose(1, 2, 0)
+            colors = pair_colors.take(pairs, axis=0).transpose(1, 2, 0)
             image[tiles] += colors @ weights.transpose(1, 0, 2)
             if keep:
                 # Weights take half of the memory: in large pictures backward finds them again.
@@ -108,7 +110,7 @@ def forward(
                 chunks.append((tiles, pairs, A, kept, before, clamped))
     if background.any():  # black adds nothing
         image += T[:, None] * background.astype(dtype)[:, None]
-    saved = (chunks, T, background, occlusion, lists, splats, paint, settings)
+    saved = (chunks, T, background, occlusion, lists, splats, pair_colors, settings)
     image, transmittance = (to_image(a, lists, side)[:height, :width] for a in (image, T[:, None]))
     return (image, transmittance[:, :, 0]), saved if keep else None
 
@@ -122,13 +124,13 @@ def backward(saved, image_bar):
         parts = zip(saved.inputs, np.split(image_bar, [saved.cut]))
         upper, lower = (backward(forward(*half)[1], half_bar) for half, half_bar in parts)
         return {name: bar + lower[name] for name, bar in upper.items()}
-    chunks, T, background, occlusion, lists, splats, paint, settings = saved
+    chunks, T, background, occlusion, lists, splats, pair_colors, settings = saved
     g = to_tiles(np.asarray(image_bar, settings.dtype), lists, settings.tile)
     behind = np.zeros_like(T)
     if occlusion and background.any():
         behind = background.astype(settings.dtype) @ g
     basis = monomials(settings.tile, settings.dtype).T
-    per_pair = np.zeros((len(paint), 9), settings.dtype)  # the last row collects the padding
+    per_pair = np.zeros((len(pair_colors), 9), settings.dtype)  # the last row collects the padding
     for tiles, pairs, A, weights, before, clamped in reversed(chunks):
         if weights is None:
             weights = np.empty_like(A)
@@ -141,7 +143,7 @@ def backward(saved, image_bar):
             out=sums[:, :, 6:].transpose(1, 0, 2),  # gradients of the colors
         )
         V = np.empty_like(A)  # what a pixel gains per unit of a splat's weight
-        colors = paint.take(pairs, axis=0).transpose(1, 0, 2)
+        colors = pair_colors.take(pairs, axis=0).transpose(1, 0, 2)
         np.matmul(colors, g_tiles, out=V.transpose(1, 0, 2))
         if occlusion:
             # In the forward T *= 1 - alpha, so alpha also takes what stands behind its rank.
@@ -158,13 +160,14 @@ def backward(saved, image_bar):
         np.matmul(V.reshape(-1, len(basis)), basis, out=sums.reshape(-1, 9)[:, :6])
         per_pair[pairs] = sums
     columns = per_pair[:-1].T.astype(float, order="C")
-    for first in range(0, len(lists.row), PIECE):
+    for first in range(0, len(lists.splat), PIECE):
         piece = slice(first, first + PIECE)
         columns[:6, piece] = from_moments(
             columns[:6, piece], at_pairs(splats, lists, settings.tile, piece)
         )
-    # All pairs of a Gaussian.
-    total = np.stack([np.bincount(lists.row, pairs, splats.shape[1]) for pairs in columns], axis=1)
+    # Sums over all pairs of a Gaussian.
+    N = splats.shape[1]
+    total = np.stack([np.bincount(lists.splat, pairs, N) for pairs in columns], axis=1)
     return {
         "mean2d": total[:, :2],
         "conic": total[:, 2:5],
@@ -184,8 +187,8 @@ def groups_of_tiles(count, side):
 def columns_of(mean2d, conic, alpha):
     """x, y, minus the conic (a, b, c), log alpha and alpha of every splat [7, N].
 
-    Alphas of 0, whose logarithm would be NaN in the product, are 1 in the last row, because
-    backward divides by it.
+    An alpha of 0 has a conic of 0 and LOG_OF_ZERO, because infinity would give NaN in a product,
+    and 1 in the last row, because backward divides by it.
     """
     some = alpha > 0
     opacity = np.where(some, alpha, 1)
@@ -194,8 +197,8 @@ def columns_of(mean2d, conic, alpha):
 
 
 def at_pairs(splats, lists, side, piece=slice(None)):
-    """The `columns_of` every pair's splat, with x and y of its tile's middle as seen from it."""
-    columns, tile = splats.take(lists.row[piece], axis=1), lists.tile[piece]
+    """The `columns_of` every pair's splat, with x and y counted from it to its tile's middle."""
+    columns, tile = splats.take(lists.splat[piece], axis=1), lists.tile[piece]
     places = np.stack([tile % lists.columns, tile // lists.columns])
     columns[:2] = places * side + (side - 1) / 2 - columns[:2]
     return columns
@@ -221,7 +224,7 @@ def monomials(side, dtype):
 
 
 def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
-    """Alphas and weights [K, G, P] of a chunk; T and stopped [G, P] are moved behind it.
+    """Alphas and weights [K, G, P] of a chunk; updates T and stopped [G, P] in place.
 
     Also returns where alphas were clamped, as pairs of indices of the flat chunk and the slope of
     log alpha there. A few ranks are evaluated and composited at a time, so that they are still in
@@ -229,26 +232,21 @@ def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
     """
     A = np.empty((len(coefficients), *T.shape), T.dtype)
     weights = np.empty_like(A) if keep and occlusion else A
-    clamped = []
+    basis, clamped = monomials(settings.tile, settings.dtype), []
     ranks = max(1, CACHED // T.size)
     for first in range(0, len(A), ranks):
         some = slice(first, first + ranks)
-        alphas(coefficients[some], settings, A[some])
+        alphas = A[some]
+        np.matmul(coefficients[some].reshape(-1, 6), basis, out=alphas.reshape(-1, len(basis.T)))
+        np.exp(alphas, out=alphas)
         if clamps:
-            where, slope = clamp(A[some].reshape(-1), settings)
+            where, slope = clamp(alphas.reshape(-1), settings)
             clamped.append((where + first * T.size, slope))
         if settings.mask:
-            A[some][A[some] < settings.mask] = 0
+            alphas[alphas < settings.mask] = 0
         if occlusion:
-            front_to_back(A[some], weights[some], T, stopped, settings)
+            front_to_back(alphas, weights[some], T, stopped, settings)
     return A, weights, clamped
-
-
-def alphas(coefficients, settings, out):
-    """Write the exp of polynomials [K, G, 6], alphas before their clamp, to `out` [K, G, P]."""
-    basis = monomials(settings.tile, settings.dtype)
-    np.matmul(coefficients.reshape(-1, 6), basis, out=out.reshape(-1, basis.shape[1]))
-    np.exp(out, out=out)
 
 
 def clamp(A, settings):
@@ -264,7 +262,7 @@ def clamp(A, settings):
 
 
 def front_to_back(A, weights, T, stopped, settings):
-    """Write alpha T to `weights` [K, G, P], which may be A, and take it from T [G, P].
+    """Write alpha T to `weights` [K, G, P], which may be A, and subtract it from T [G, P].
 
     With `stop_by_pixel`, the splat that would pass the stop and all splats behind it are cut from
     A, and `stopped` remembers the pixels.

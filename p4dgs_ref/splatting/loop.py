@@ -50,7 +50,7 @@ def forward(
     order = depth_order(depth, listable(alpha, visible, settings), occlusion=True)
     bounds = pixel_bounds(mean2d[order], cov2d[order], alpha[order], width, height, settings)
     for i, low, high in zip(order, *bounds):
-        x_0, y_0 = low.clip(0).astype(int)
+        x_0, y_0 = low.clip(0, (width, height)).astype(int)
         x_1, y_1 = (high + 1).clip(0, (width, height)).astype(int)
         area = slice(y_0, max(y_0, y_1)), slice(x_0, max(x_0, x_1))
         y, x = np.mgrid[area]

@@ -6,9 +6,9 @@
 
 Zwicker et al. 2001 and Kerbl et al. 2023 (3DGS); P-4DGS uses it without a number. Symmetric 2 x 2
 matrices are stored as the numbers (a, b, c) of [[a, b], [b, c]], so that the gradient of b counts
-both off-diagonal entries. Computed in float64 throughout, because the determinant of a needle
-cancels. Training and rendering run `factored`, which computes the same from scales and quaternions
-instead of Sigma, so that it does not.
+both off-diagonal entries. Computed in float64 throughout, because the determinant a c - b b of a
+long thin splat is a difference of nearly equal numbers. Training and rendering run `factored`,
+which computes the same from scales and quaternions, without this difference.
 """
 
 import numpy as np
@@ -28,9 +28,9 @@ def forward(
 ):
     """Return mean2d [N, 2], cov2d and conic [N, 3], depth, visible [N] and what `backward` needs.
 
-    Culled rows are zero and not visible: a depth at or before `near`, a determinant that is not
-    positive, and every NaN or infinity. The conic of a needle L pixels long is accurate to
-    eps L**2 / blur.
+    A row is culled, zero and not visible, where its depth is at or before `near`, where its camera
+    coordinates are not finite, and where the determinant of cov2d is not positive or not finite.
+    The conic of a splat that is L pixels long is accurate to eps L**2 / blur.
     """
     (mean2d, depth, JW, in_front), saved_view = view(x, W, T, focal, center, size, near, tan_clamp)
     Sigma = Sigma.astype(JW.dtype, copy=False)
@@ -65,7 +65,7 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
 
 
 def view(x, W, T, focal, center, size, near, tan_clamp):
-    """Return mean2d [N, 2], depth [N, 1], J W [N, 2, 3] and in_front [N], and what was saved."""
+    """Return mean2d [N, 2], depth [N, 1], J W [N, 2, 3], in_front [N] and what `backward` needs."""
     inner = np.result_type(x, np.float64)
     W, T, focal, center = (np.asarray(a, inner) for a in (W, T, focal, center))
     x_c = x @ W.T + T  # [N, 3]  camera coordinates
@@ -80,7 +80,7 @@ def view(x, W, T, focal, center, size, near, tan_clamp):
 
 
 def view_backward(saved, JW_bar, mean2d_bar, depth_bar, visible):
-    """The gradient of x."""
+    """Gradient of x."""
     x_c, inside, JW, W, focal = saved
     z = x_c[:, 2:]
     # In the forward J W = focal / z (W_xy - uv W_z), so uv gets -W_z focal / z and z gets -J W / z.

@@ -56,17 +56,17 @@ def pinhole(camera, settings) -> dict:
 
 
 def composite(splats, alpha, color, camera, background, settings, occlusion=True, keep=True):
-    """What `forward` returns, from splats in float64; saves the compositor and what it saved."""
+    """Composite splats in float64: what `forward` returns, the compositor, and what that saved."""
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
     bad = np.flatnonzero(~(alpha >= 0))
     if len(bad):
         raise ValueError(f"alpha[{bad[0]}] is {alpha[bad[0]]}: expected at least 0")
-    looks = (alpha, color, depth, visible, background, camera.height, camera.width)
+    others = (alpha, color, depth, visible, background, camera.height, camera.width)
     if settings.footprint == "all":
         compositor = compositing
-        out, saved = compositing.forward(mean2d, conic, *looks, occlusion, settings.alpha_max)
+        out, saved = compositing.forward(mean2d, conic, *others, occlusion, settings.alpha_max)
     else:
         compositor = fast
-        out, saved = fast.forward(mean2d, cov2d, conic, *looks, settings, occlusion, keep)
+        out, saved = fast.forward(mean2d, cov2d, conic, *others, settings, occlusion, keep)
     return (*out, visible), (compositor, saved)

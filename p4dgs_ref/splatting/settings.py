@@ -38,9 +38,9 @@ KERNEL = Settings(
     clamp_passes_gradient=True,
 )
 # With colours from 0 to 1, the error of a pixel is at most the sum of the alphas below the cut,
-# plus the transmittance at which its tile stops. It grows with the number of Gaussians that are
-# left out, and reaches 1.84e-4 in a test view of tutorials/demo.p4dgs. A cut of 5e-5 has 4 % more
-# pairs than one of 1e-4.
+# plus the transmittance at which its tile stops. The error grows with the number of Gaussians that
+# are left out, and reaches 1.84e-4 in a test view of tutorials/demo.p4dgs. A cut of 5e-5 has 4 %
+# more pairs than one of 1e-4.
 FAST = Settings("fast", "ellipse", "float32", cut=5e-5, stop=1e-4)
 
 SETTINGS = {settings.name: settings for settings in (EXACT, KERNEL, FAST)}

@@ -91,11 +91,11 @@ OF_SPLATTING = (
 EQUATIONS: dict[str, Equation] = {row.key: row for row in starmap(equation, (*ROWS, *OF_SPLATTING))}
 
 
-def to_markdown(equations=EQUATIONS):
+def to_markdown():
     """The table as Markdown, as tutorials/reference.md shows it."""
     # A bare bar in a formula would end its column.
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
-    for eq in equations.values():
+    for eq in EQUATIONS.values():
         file, formula = eq.module.__name__.replace(".", "/"), eq.formula.replace("|", "\\|")
         lines.append(f"| {eq.number} | `{eq.key}` | `{file}.py` | `{formula}` |")
     return "\n".join(lines)

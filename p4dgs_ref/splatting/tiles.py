@@ -6,17 +6,17 @@ import numpy as np
 
 from .compositing import depth_order
 
-# Of a Gaussian and a tile: 2 GB for the lists, and with tiles of 8 up to 6 GB for the gradients.
+# Pairs of a Gaussian and a tile in one list: 2 GB, with gradients in tiles of 8 pixels up to 6 GB.
 MAX_PAIRS = 2**23
 
 
 class Lists(NamedTuple):
-    """K pairs of a Gaussian and a tile, tile by tile, and front to back within a tile."""
+    """M pairs of a Gaussian and a tile, tile by tile, and front to back within a tile."""
 
-    tile: np.ndarray  # [K] number of the tile, row by row
-    row: np.ndarray  # [K] row of the Gaussian
+    tile: np.ndarray  # [M] number of the tile, counted row by row
+    splat: np.ndarray  # [M] index of the Gaussian
     columns: int  # tiles beside each other in the image
-    rows: int
+    rows: int  # tiles below each other
 
 
 def bin_splats(
@@ -27,7 +27,8 @@ def bin_splats(
     "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
     occlusion the Gaussians of a tile stand in the order of their index. Returns None, before the
-    pairs take memory, where there are more than MAX_PAIRS in more than one row of tiles.
+    pairs take memory, where there are more than MAX_PAIRS and the image can be cut between two rows
+    of tiles.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -41,9 +42,9 @@ def bin_splats(
     count = extent[:, 0] * extent[:, 1]
     if count.sum() > MAX_PAIRS and rows > 1:
         return None
-    row, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian
-    at, tile_x = runs(first[row, 0], extent[row, 0])
-    rank, tile_y = row[at], tile_y[at]  # place in depth order: a sort key
+    rank, tile_y = runs(first[:, 1], extent[:, 1])  # every row of tiles of every Gaussian
+    at, tile_x = runs(first[rank, 0], extent[rank, 0])  # every tile of these rows
+    rank, tile_y = rank[at], tile_y[at]  # rank is the place in depth order
     bits = max(1, len(order).bit_length())  # one sort of packed keys: tile first, then depth
     key = (tile_y * columns + tile_x) << bits | rank
     if settings.footprint == "ellipse":
@@ -55,12 +56,12 @@ def bin_splats(
 
 
 def listable(alpha, visible, settings):
-    """The rows that are evaluated anywhere [N]: an ellipse needs an alpha above the cut."""
+    """Which Gaussians [N] are evaluated anywhere: an ellipse needs an alpha above the cut."""
     return visible & (alpha > settings.cut) if settings.footprint == "ellipse" else visible
 
 
 def pixel_bounds(mean, cov, alpha, width, height, settings):
-    """First and last pixel [M, 2], as x and y, of the rectangle where each Gaussian is evaluated.
+    """First and last pixel [N, 2], as x and y, of the rectangle where each Gaussian is evaluated.
 
     It may reach beyond the image, and it is empty where the last pixel is before the first.
     """
@@ -79,18 +80,18 @@ def pixel_bounds(mean, cov, alpha, width, height, settings):
 
 
 def largest_form(alpha, settings):
-    """The largest value of the quadratic form at which alpha exp(-form / 2) reaches the cut [M]."""
+    """The largest value of the quadratic form at which alpha exp(-form / 2) reaches the cut [N]."""
     return 2 * np.log(alpha / settings.cut)
 
 
 def runs(first, count):
-    """The numbers first_i, first_i + 1, ... (count_i of them) for every i: each one's i, and it."""
+    """For every i the count_i numbers first_i, first_i + 1, ...: the i of each, and the numbers."""
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count)
 
 
 def nearest_form(mean, conic, x_0, y_0, side):
-    """Smallest value of the quadratic form over each tile's rectangle of pixel centres [K].
+    """Smallest value of the quadratic form over each tile's rectangle of pixel centres [M].
 
     The form is convex: unless the mean is inside, the smallest value lies on the nearest vertical
     or the nearest horizontal edge. Along an edge the form is a parabola, clamped to the edge's

@@ -13,12 +13,12 @@ from .initial import lattice_nodes, starting_points
 from .progress import psnr
 
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
-FAR = 10  # times the distance from the middle of nine tenths of the points
-DIFFERENCE = 0.1  # of a channel, from which on two pixels disagree
-# Of the squared error of the mean of the training pictures, the least share that a model removes.
-# On four scenes of moving bodies, two seeds each, models removed 0.84 to 0.95, the same with half
-# of every body cut off 0 to 0.33, with half transparent bodies 0.44 to 0.67; on a fifth, in which
-# hardly anything moved, 0.66 and 0.71.
+FAR = 10  # times the radius that holds nine tenths of the points
+DIFFERENCE = 0.1  # two pixels disagree where a channel differs by more
+# The mean of the training pictures has a squared error. This is the least share of it that a model
+# must remove. On four scenes of moving bodies, two seeds each, models removed 0.84 to 0.95, the
+# same with half of every body cut off 0 to 0.33, with half transparent bodies 0.44 to 0.67; on a
+# fifth, in which hardly anything moved, 0.66 and 0.71.
 MIN_SHARE = 0.6
 
 
@@ -39,7 +39,7 @@ def few_views(scene):
 
 
 def empty_pictures(scene):
-    """A warning of pictures that are blank."""
+    """A warning of pictures that show hardly more than one colour."""
     views = [*scene.train, *scene.test]
     empty = sum(np.ptp(view.image.T.copy(), axis=(1, 2)).max() <= DIFFERENCE for view in views)
     if not empty:
@@ -56,12 +56,12 @@ def odd_points(scene, preset, seed, points):
     # The training draws the same points from this seed.
     points = starting_points(points, preset.anchors, preset.extent, np.random.default_rng(seed))
     unseen = points  # most leave at the first cameras, so that many points take little time
-    for c in (view.camera for view in scene.train):
+    for camera in (view.camera for view in scene.train):
         # points as Gaussians without a size, so that their rotations do not matter
         mean2d, *_, visible = render.project(
-            unseen, 0 * unseen, np.ones((len(unseen), 4)), c, FAST
+            unseen, 0 * unseen, np.ones((len(unseen), 4)), camera, FAST
         )[0]
-        shares = (mean2d + 0.5) / (c.width, c.height)  # of the picture, from its corner
+        shares = (mean2d + 0.5) / (camera.width, camera.height)  # of the picture, from its corner
         unseen = unseen[~(visible & ((shares >= 0) & (shares <= 1)).all(axis=1))]
     middle = np.median(points, axis=0)
     reach, away = np.abs(points - middle).max(axis=1), np.abs(scene.center - middle).max()

@@ -13,7 +13,7 @@ MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (
 
 @dataclass
 class Statistics:
-    """Sums over the views since the last adjustment."""
+    """Sums over the views since they were last cleared."""
 
     visits: np.ndarray  # [A]  views in which the anchor took part
     opacity: np.ndarray  # [A, k]  positive opacities of its children
@@ -36,7 +36,7 @@ class Statistics:
         self.seen.reshape(-1)[rows] += 1
 
     def clear_judged(self, preset):
-        """Start anew, in place, for what enough views have judged; the rest goes on summing.
+        """Clear, in place, the sums that enough views have contributed to; the others go on.
 
         This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
         """
@@ -63,10 +63,11 @@ def grow(p, statistics, preset, rng):
     """New anchors where projected centres have large gradients, as {array name: new rows}.
 
     This is the rule of Scaffold-GS (Lu et al. 2024) with the constants of its code (Q16). Level i
-    looks for free voxels of size voxel * grow_init / grow_hierarchy**i with a gradient above
-    gradient_threshold * (grow_hierarchy / 2)**i, and keeps a random share of the candidates. Levels
-    after the first are looked at only once an anchor was added. A new anchor takes the largest
-    feature of the anchors whose children are in its voxel.
+    looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that hold a child
+    with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. A random share of the
+    children, 1 - 0.5**(i+1), counts. Levels after the first are looked at only once an anchor was
+    added. Each number of a new anchor's feature is the largest one among the anchors whose children
+    are in its voxel.
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
@@ -121,11 +122,11 @@ def faint_children(statistics, preset):
 
 
 def reseed(p, first, second, dead, statistics, rng):
-    """Move dead anchors, in place, to children that are drawn by their gradients.
+    """Move dead anchors, in place, to random children, chosen in proportion to their gradients.
 
     A child with an opacity below zero is masked out and receives no gradient, so a dead anchor
-    cannot recover. It starts again as a copy of the anchor that the child belongs to, with zero
-    Adam moments (`first`, `second`).
+    cannot recover. It starts again as a copy of the anchor that the chosen child belongs to, with
+    zero Adam moments (`first`, `second`).
     """
     k = p["O_a"].shape[1]
     weight = statistics.gradient.ravel() * ~np.repeat(dead, k)

@@ -1,4 +1,4 @@
-"""Training to the end, with a checkpoint from which it goes on to the same bytes."""
+"""Training to the end, with checkpoints: a training that resumes from one gives the same bytes."""
 
 import hashlib
 import io
@@ -28,7 +28,7 @@ SAVE_EVERY = 20.0  # seconds between checkpoints
 CHECKPOINT = "checkpoint.npz"
 MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
 HOW_TO_RESUME = "--resume (resume=True) goes on from it, another folder starts anew"
-# Part of what the checksum is taken of, so that the checkpoint of another release does not fit.
+# The checksum covers it, so that the checkpoint of another release is refused.
 RELEASE = f"checkpoint 6, fields {FIELDS}".encode()
 
 
@@ -58,10 +58,10 @@ def train(
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
     first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
-    KeyboardInterrupt after the current iteration, a second one at once. Warns of a scene with few
-    training views, of pictures and starting points that are of no use, where anchors stop growing
-    because a file could not hold more, of a model that draws nothing, and of one that has little
-    of what moves.
+    KeyboardInterrupt after the current iteration, a second one at once. Warns of few training
+    views, of blank pictures, of starting points that merge or lie far off, of anchors that stop
+    growing because a file could not hold more, of a model that draws nothing, and of one that draws
+    little of what moves.
     """
     preset = choose(preset, changes)
     for sentence in advice.before(scene, preset, seed, points):
@@ -127,7 +127,7 @@ def fingerprint(views):
 
 
 def identity(trainer):
-    """What a checkpoint has in common with every training that goes on from it, as JSON values."""
+    """What must be equal in a checkpoint and in a training that resumes from it, as JSON values."""
     return {
         **{f"preset.{name}": value for name, value in vars(trainer.preset).items()},
         "seed": trainer.seed,

@@ -12,9 +12,8 @@ def design_of(preset, effects):
     """The Design that a preset and the effects of a scene ask for."""
     grid = [("xyz", res) for res in preset.grid_3d]
     grid += [(axes, res) for axes in ("xy", "xz", "yz") for res in preset.grid_2d]
-    same = {name: a for name, a in vars(preset).items() if name in Design.__annotations__}
-    return Design(
-        **same,
+    return Design(  # first the fields that have the same names in both
+        **{name: a for name, a in vars(preset).items() if name in Design.__annotations__},
         grid=tuple(grid),
         table=(preset.table_3d, preset.table_2d),
         Q_0=(preset.Q_f, preset.Q_s, preset.Q_l, preset.Q_O),

@@ -59,7 +59,7 @@ class Losses(NamedTuple):
 
 
 class Rendered(NamedTuple):
-    """What growing and pruning look at."""
+    """What density control and the progress line need of a rendered view."""
 
     alpha: np.ndarray  # [A, k]  opacities before masking
     index: np.ndarray  # [N]  a k + i of the rendered Gaussians
@@ -74,7 +74,7 @@ def linear_values(p):
 
 
 def loss(p, design, networks, grids, inputs, view, u):
-    """The Losses of one view, what was Rendered, for density control, and `back`.
+    """The Losses of one view, its Rendered, and `back`.
 
     `networks` and `grids` are views into the Parameters p, `inputs` are StepInputs. u [A, n] is the
     noise in [-1/2, 1/2); rendering and rate share it (Q23), and stage 1 does not use it.

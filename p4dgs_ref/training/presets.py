@@ -32,17 +32,18 @@ class Preset:
     L_x: int = 10  # frequencies of x
     L_t: int = 6  # frequencies of t
     context: tuple = (32, 32)  # hidden widths of psi_p and psi_q: two layers of 2d
-    # resolutions of the hash grid, and of it in each plane; the paper gives none
+    # resolutions of the 3D levels of the hash grid, and of the levels in each plane; the paper
+    # gives none
     grid_3d: tuple = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
     grid_2d: tuple = (130, 258, 514, 1026)
     table_3d: int = 2**13  # most nodes of a 3D level
     table_2d: int = 2**15  # most nodes of a 2D level
-    F: int = 4  # bits of a node
+    F: int = 4  # entries of a node, one bit each
     tau_alpha: float = 0.0  # least opacity drawn
     feature_std: float = 0.0  # of the initial features
     opacity_bias: float = 0.0  # added to psi_alpha's last bias
-    upright: bool = False  # whether psi_r's last bias is (1, 0, 0, 0) at first
-    deformation_gain: float = 1.0  # of psi_d's heads at first
+    upright: bool = False  # whether (1, 0, 0, 0) is added to psi_r's last bias
+    deformation_gain: float = 1.0  # factor of psi_d's heads at the start
     # quantisation and rate
     Q_f: float = 1.0  # base steps of f, s, l and O
     Q_s: float = 0.001
@@ -177,7 +178,7 @@ TINY = Preset(
     min_opacity=0.03,
     mask_from=1800,
 )
-# The points of a real scene know its depth, which few cameras cannot measure: anchors keep it.
+# The points of a real scene hold depths that its few cameras cannot measure: anchors stay there.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests.
 SMOKE = replace(
@@ -220,9 +221,9 @@ def widths(most):
     )
 
 
-# What a field must be, in words and as a test. Of all others, a number that is not negative. With
-# larger rates, lengths and first numbers, or with smaller steps Q, a training ends with weights
-# beyond float16 or |f / q| beyond 2^31, which no file holds.
+# What a field must be, in words and as a test; a field that is not listed must be a number that is
+# not negative. With larger rates, lengths and first parameters, or with smaller steps Q, a training
+# ends with weights beyond float16 or |f / q| beyond 2^31, which no file holds.
 REQUIREMENTS = {name: between(1, most) for name, most in MAX_OF.items()} | by_field(
     {
         "anchors grow_every grow_init grow_hierarchy": between(1, MAX_VALUE),
@@ -280,7 +281,7 @@ def choose(preset, changes=None):
         like = getattr(preset, name)
         try:
             values[name] = read_value(value, like)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             raise ValueError(
                 f"field {name!r}: expected a value like {like!r}, got {value!r}"
             ) from None

@@ -18,7 +18,7 @@ def psnr(image, truth):
 
 
 class Progress:
-    """Called after every step, it extends `trainer.history` and writes a line to `stream`.
+    """Called after every step: adds rows to `trainer.history` and writes lines to `stream`.
 
     A terminal shows one line that changes. Other streams get about a dozen lines, None gets none.
     """
@@ -38,7 +38,7 @@ class Progress:
                     losses.L_total,
                     decibel,
                     losses.L_rate,
-                    trainer.primitives,
+                    trainer.count,
                     len(rendered.index),
                 ]
             )
@@ -52,7 +52,7 @@ class Progress:
             f"{done:{len(str(total))}d}/{total}  {seconds / self.steps * (total - done):.0f} s left"
             f"  stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at "
             f"{view.camera.width}x{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
-            f"{counted(trainer.primitives, 'anchor')}  "
+            f"{counted(trainer.count, 'anchor')}  "
             f"{counted(len(rendered.index), 'Gaussian')}  {1e3 * seconds / self.steps:.1f} ms/step"
         )
         self.shown, self.steps = time.monotonic(), 0

@@ -38,16 +38,19 @@ FIRST_STAGE = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
 def assemble(p, design, mask, box, background):
-    """The model of some parameters, linear and in float64; without a box, the exact one."""
+    """The model of Parameters p, with linear attributes, in float64.
+
+    Where `box` is empty, as before stage 4, the box is that of the anchors.
+    """
     attributes = split(objective.linear_values(p).astype(float), design)
-    exact = Parameters(p.arrays, np.float64)
-    networks = {name: exact.network(name) for name in design.layers()}
+    p = Parameters(p.arrays, np.float64)
+    networks = {name: p.network(name) for name in design.layers()}
     return Model(
         design,
-        Anchors(exact["x_a"], *attributes, mask.copy()),
+        Anchors(p["x_a"], *attributes, mask.copy()),
         networks,
-        grids=exact.listed("grid"),
-        box=box or bounding_box(exact["x_a"]),
+        grids=p.listed("grid"),
+        box=box or bounding_box(p["x_a"]),
         background=np.asarray(background, float),
     )
 
@@ -80,7 +83,7 @@ class Trainer:
         self.located = None  # where the positions are in the hash grid, from stage 4 on
         self.start(initial_parameters(self.preset, self.design, self.rng, points))
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
-        excess = over_limits(self.design, self.primitives)
+        excess = over_limits(self.design, self.count)
         require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
@@ -96,7 +99,7 @@ class Trainer:
         self.grids = parameters.listed("grid")
 
     @property
-    def primitives(self):
+    def count(self):
         """The number of anchors."""
         return len(self.mask)
 
@@ -113,7 +116,7 @@ class Trainer:
 
     @np.errstate(all="ignore")  # NotFinite names what NumPy would warn of
     def step(self):
-        """Do one iteration; returns its Losses, what was Rendered, and the View.
+        """Do one iteration and return its Losses, its Rendered and its View.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
@@ -160,7 +163,7 @@ class Trainer:
         )
 
     def gradients_of(self, view):
-        """The Losses of a view, what was Rendered, the gradients of parameters and of mean2d.
+        """The Losses and the Rendered of a view, and the gradients of parameters and of mean2d.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
@@ -187,7 +190,7 @@ class Trainer:
     def freeze_positions(self):
         """Put the positions on the lattice of the box and find them in the hash grid.
 
-        The box is fixed the first time, when stage 4 starts.
+        The first call, when stage 4 starts, fixes the box.
         """
         x_a, tables = self.parameters["x_a"], [T for T, _ in self.design.levels()]
         lo, hi = self.box = self.box or bounding_box(x_a)
@@ -195,9 +198,9 @@ class Trainer:
         self.located = hash_grid.locate(x_a, lo, hi, self.design.grid, tables)
 
     def adjust(self):
-        """Grow, re-seed, prune and mask as the preset says.
+        """Grow, re-seed, prune and mask as the preset says. Then a new window starts.
 
-        Then a new window starts, with Scaffold-GS's rule only for what has been judged.
+        With Scaffold-GS's rule it starts only for children and anchors that have been judged.
         """
         preset, statistics, now = self.preset, self.statistics, self.iteration
         if now >= preset.mask_from:

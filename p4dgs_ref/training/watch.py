@@ -29,7 +29,7 @@ def equation_codes():
 
 @contextmanager
 def watching(codes, see):
-    """A `with` block in which see(event, mark, frame, value) hears of every call in this thread.
+    """A `with` block in which see(event, mark, frame, value) is told of calls in this thread.
 
     `codes` is {code object: mark}. The event "call" comes before the first line of a function, with
     the value None; "return" comes after the last one, with the value that is returned, or None

@@ -12,7 +12,7 @@ import scipy.special
 
 from p4dgs_ref.arithmetic import CHOSEN
 from p4dgs_ref.codec import context as integer_context
-from p4dgs_ref.codec.context import run_network, whole_layers
+from p4dgs_ref.codec.context import integer_layers, run_network
 from p4dgs_ref.codec.file import decode, encode
 from tests import processes
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
@@ -167,7 +167,7 @@ def test_largest_networks_equal_pythons_integers(name, scale):
     biases = [np.full(n, 65504.0) * rng.choice([-1, 1], n) for n in widths[1:]]
     x = np.full((2, widths[0]), 2**15)
     x[1] = rng.integers(-(2**15), 2**15 + 1, widths[0])
-    layers = whole_layers(weights, biases)
+    layers = integer_layers(weights, biases)
     numbers = [v for pair in zip(weights, biases) for a in pair for v in a.ravel().tolist()]
     y = run_network(x.astype(float), layers).astype(int).tolist()
     for row, outputs in zip(x.tolist(), y):
@@ -208,7 +208,7 @@ def test_outputs_are_rescaled_as_the_format_says(bits, limit):
 
 def test_a_bound_is_reached():
     """The largest inputs and weights reach the bound, so it cannot be lower."""
-    (layer,) = whole_layers([np.full((WIDEST, 1), 65504.0)], [np.full(1, 65504.0)])
+    (layer,) = integer_layers([np.full((WIDEST, 1), 65504.0)], [np.full(1, 65504.0)])
     assert run_network(np.full((1, WIDEST), 2.0**15), [layer])[0, 0] == layer.bound > 2**43
 
 
@@ -216,4 +216,4 @@ def test_networks_beyond_the_bound_are_not_run():
     """Only a network wider than a header allows exceeds the bound."""
     wide = 2**17
     with pytest.raises(AssertionError, match="a partial sum could be rounded"):
-        whole_layers([np.ones((1, wide)), np.ones((wide, 1))], [np.zeros(wide), np.zeros(1)])
+        integer_layers([np.ones((1, wide)), np.ones((wide, 1))], [np.zeros(wide), np.zeros(1)])

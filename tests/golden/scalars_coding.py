@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from p4dgs_ref import EQUATIONS
-from p4dgs_ref.equations.grid_nodes import entries, nodes
+from p4dgs_ref.equations.grid_nodes import nodes, table_rows
 from tests.golden.scalars import identity
 from tests.golden.subjects import as_published, no_pullback
 
@@ -28,7 +28,7 @@ def row_vjp(corner, res, table):
     (i XOR 2654435761 j XOR 805459861 k) mod 2^32 mod table.
     """
     origin = np.zeros((1, corner.shape[1]), np.int64)
-    return {"row": entries(corner, origin, res, table)[:, 0]}, no_pullback
+    return {"row": table_rows(corner, origin, res, table)[:, 0]}, no_pullback
 
 
 # --- what follows psi_q and psi_p ---------------------------------------------------------------

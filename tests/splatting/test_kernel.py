@@ -38,4 +38,4 @@ def test_the_lists_are_those_of_the_package(case):
     mine = kernel.lists(**{name: i[name] for name in kernel.LISTED})
     names = ("mean2d", "cov2d", "conic", "alpha", "depth", "visible", "width", "height")
     theirs = bin_splats(*(i[name] for name in names), KERNEL)
-    assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.row)
+    assert np.array_equal(mine.tile, theirs.tile) and np.array_equal(mine.row, theirs.splat)

@@ -45,6 +45,8 @@ def test_a_camera_without_a_principal_point_has_it_in_the_middle_of_the_pixels(w
     assert (camera.f_x, camera.f_y, camera.width, camera.height) == (50, 40, width, height)
     given = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height, c_x=3, c_y=4)
     assert (given.c_x, given.c_y) == (3, 4)
+    with pytest.raises(ValueError, match="not on one line"):
+        look_at((0, 0, 2), (0, 0, 0), 50, 40, width, height)
 
 
 def relative(a, b):
@@ -147,7 +149,7 @@ def test_ellipse_test_is_exact():
     """
     inputs = splats(300, 40, 48, seed=5, sigma=(0.6, 9.0))
     lists = bin_splats(inputs)
-    listed = set(zip(lists.tile.tolist(), lists.row.tolist()))
+    listed = set(zip(lists.tile.tolist(), lists.splat.tolist()))
     fine = np.linspace(0, 7, 113)
     a, b, c = inputs["conic"].T[:, :, None, None]
     superfluous = 0
@@ -170,10 +172,12 @@ def test_nothing_to_draw_gives_the_background(hidden, settings):
     if hidden == "not visible":
         inputs["visible"] = np.zeros(5, bool)
     elif hidden == "off the image":
-        inputs["mean2d"] = inputs["mean2d"] + 1e6
+        inputs["mean2d"] = inputs["mean2d"] + 1e20
     else:
         inputs["alpha"] = np.zeros(5)
     image, _, bars = run(fast, inputs, np.ones((9, 14, 3)), settings=settings)
+    looped, *_ = run(loop, inputs, np.ones((9, 14, 3)), settings=settings)
+    assert largest(looped, image) < 1e-7
     assert np.array_equal(image, np.broadcast_to(image[:1, :1], (9, 14, 3)))
     assert np.allclose(image[0, 0], inputs["background"])
     assert all(np.isfinite(bar).all() for bar in bars.values()) and not bars["mean2d"].any()

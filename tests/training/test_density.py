@@ -65,11 +65,11 @@ def test_growing_stops_at_what_a_file_may_hold(scene, monkeypatch):
     monkeypatch.setattr(model, "MAX_NUMBERS", most)
     with pytest.warns(UserWarning, match="^no more anchors grow: a file could not hold them$"):
         trainer.adjust()
-    assert trainer.primitives == 12
+    assert trainer.count == 12
     statistics.opacity[:3], statistics.visits[:], statistics.seen[:] = 0, 100, 100
     statistics.opacity[3:], statistics.gradient[5, 2] = 50, 100.0
     trainer.adjust()
-    assert 9 < trainer.primitives <= 12
+    assert 9 < trainer.count <= 12
 
 
 def test_growing_does_not_double_an_occupied_voxel(scene):

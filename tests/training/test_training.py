@@ -89,6 +89,7 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"grid_3d": "", "grid_2d": ""}, "grid_3d"),
         ({"tau_alpha": -1}, "tau_alpha"),
         ({"d": "1_0"}, "'d': expected a value like 16, got '1_0'"),
+        ({"d": np.inf}, "'d': expected a value like 16, got inf"),
         ({"d": "4 "}, "'d': expected a value like 16, got '4 '"),
         ({"d": "\N{ARABIC-INDIC DIGIT FOUR}"}, "'d'"),
         ({"voxel": " 0.1"}, "'voxel'"),
@@ -197,7 +198,7 @@ def test_points_beyond_what_a_file_holds_are_refused_in_one_line(scene, monkeypa
     trainer = Trainer(scene, SMOKE, points=points)
     most = sum(model.declared_numbers(trainer.design, 3).values())
     monkeypatch.setattr(model, "MAX_NUMBERS", most)
-    assert Trainer(scene, SMOKE, points=points).primitives == 3
+    assert Trainer(scene, SMOKE, points=points).count == 3
     with pytest.raises(SceneError, match=f"points: expected at most {most} numbers") as refused:
         Trainer(scene, SMOKE, points=[*points, [0, 0, 0]])
     assert "\n" not in str(refused.value)

@@ -45,7 +45,7 @@ for array in full_row["arrays"]:
     stored[array["name"]] = streams.stored(full_row, array)
 stream = (streams.STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(read_container(stream)).model
-layers = context.whole_layers(*full.networks["psi_p"])
+layers = context.integer_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
 y = context.run_network(h, layers)
 lessons.check_number("21.2", my_network(h, layers), y, digits=15)

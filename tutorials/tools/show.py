@@ -168,7 +168,7 @@ def anchors(figure, model, camera, anchor, view):
     g, image = model.gaussians(None, camera), 0.5 * frame(model, camera, None) + 0.5
     picture(left, np.ones_like(image), camera, **view)
     left.set(
-        title=f"{model.primitives} anchors (black), {len(g.x)} children (blue)",
+        title=f"{model.count} anchors (black), {len(g.x)} children (blue)",
         xlabel=f"here k = {model.design.k}: {model.anchors.mask.sum(axis=1).mean():.1f} are left\n"
         f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left;\n"
         "anchors save 87 % of T-Rex (its Table 3)",

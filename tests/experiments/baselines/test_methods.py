@@ -161,12 +161,12 @@ def test_new_gaussians_have_zero_moments(scene):
     preset = replace(SMALL["d3dgs"], gradient_threshold=1e-6, most=99, percent_dense=9.0)
     trainer, counts = MODULES["d3dgs"].Trainer(scene, preset), []
     for _ in range(30):
-        before = trainer.primitives
+        before = trainer.count
         trainer.step()
-        if trainer.primitives > before:
+        if trainer.count > before:
             counts.append(trainer.iteration)
             assert trainer.adam.first["x"].any() and not trainer.adam.first["x"][-1].any()
-            assert len(trainer.statistics.seen) == trainer.primitives
+            assert len(trainer.statistics.seen) == trainer.count
     assert counts and set(counts) <= {10, 20}
 
 
@@ -177,7 +177,7 @@ def test_the_file_is_read_back(scene, trained, tmp_path, method):
     model, path = trained[method], tmp_path / "a.ply"
     sizes = model.save(path)
     assert sum(sizes.values()) == path.stat().st_size and sizes["other"] < 6000
-    assert sizes["gaussians"] == 4 * (161 if method == "gaussian4d" else 62) * model.primitives
+    assert sizes["gaussians"] == 4 * (161 if method == "gaussian4d" else 62) * model.count
     again = baselines.load(path)
     assert all(np.array_equal(again.parameters[n], a) for n, a in model.parameters.arrays.items())
     image, other = (m.render(scene.test[0].camera, scene.test[0].time) for m in (model, again))

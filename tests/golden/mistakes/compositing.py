@@ -102,7 +102,7 @@ OTHER_INPUTS = [
         {
             "behind[:, None] * background": "background",
             "transmittance @ g[pixels]": "g[pixels].sum(axis=0)",
-            "g[pixels] @ background + h[pixels]": "h[pixels]",
+            "g[pixels] @ background + T_N_bar[pixels]": "T_N_bar[pixels]",
         },
     ),
     known(
@@ -241,7 +241,7 @@ SUM = [
         "compositing",
         "compositing-background-detached",
         "alpha receives no gradient through the background's T_N",
-        {"g[pixels] @ background + h[pixels]": "h[pixels]"},
+        {"g[pixels] @ background + T_N_bar[pixels]": "T_N_bar[pixels]"},
     ),
     edited(
         "compositing",

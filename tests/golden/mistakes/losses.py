@@ -271,8 +271,8 @@ SSIM = [
         "ssim-renormalised",
         "at the border the window is cut and renormalised instead of padded with zeros",
         {
-            "y, mu_y, var_y = moments(truth)": (
-                "y, edge = to_rows(truth), blur(np.ones_like(to_rows(truth)))"
+            "mu_y, square_y = blur(np.stack([y, y * y], axis=1)).swapaxes(0, 1)": (
+                "edge = blur(np.ones_like(y))"
             ),
             (
                 "mu_e, square_e, square_x = blur(np.stack([e, e * e, x * x], "
@@ -281,7 +281,6 @@ SSIM = [
                 "mu_e, square_e, square_x, mu_y, square_y = blur(np.stack([e, e * e, x * x, "
                 "y, y * y], axis=1)).swapaxes(0, 1) / edge"
             ),
-            "mu_x * mu_x + var_y + C2": "mu_x * mu_x + square_y - mu_y * mu_y + C2",
             "blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1))": (
                 "blur(np.stack([mu_bar, square_e_bar, square_x_bar], axis=1) / "
                 "blur(np.ones_like(x))[:, None])"
@@ -300,8 +299,8 @@ SSIM = [
         "ssim-sample-variance",
         "variances and covariance are divided by 120 instead of 121",
         {
-            "square_x - mu_x * mu_x + var_y + C2": (
-                "(square_x - mu_x * mu_x + var_y) * 121 / 120 + C2"
+            "square_x - mu_x * mu_x + (square_y - mu_y * mu_y) + C2": (
+                "(square_x - mu_x * mu_x + square_y - mu_y * mu_y) * 121 / 120 + C2"
             ),
             "structure = (square_e - mu_e * mu_e) / D2": (
                 "structure = (square_e - mu_e * mu_e) * 121 / 120 / D2"
@@ -341,7 +340,7 @@ SSIM = [
         "ssim-gray",
         "the images are compared in gray, the mean of the channels",
         {
-            "moments(truth)": "moments(truth.mean(axis=2, keepdims=True))",
+            "y = to_rows(truth)": "y = to_rows(truth.mean(axis=2, keepdims=True))",
             "x = to_rows(image)": "x = to_rows(image.mean(axis=2, keepdims=True))",
             "D2, image.dtype)": "D2, image)",
             "structure, D1, D2, dtype = saved": "structure, D1, D2, image = saved",

@@ -53,36 +53,37 @@ def cosines_first(D, L):
     )
 
 
+FREQUENCIES = "np.ldexp(1.0, np.arange(L)).astype(dtype)"
 ENCODING = [
     edited(
         "positional_encoding",
         "encoding-pi",
         "the frequencies have a factor pi: sin(2^j pi p)",
-        {"(1 << np.arange(L)).astype(dtype)": "(np.pi * (1 << np.arange(L))).astype(dtype)"},
+        {FREQUENCIES: "(np.pi * (1 << np.arange(L))).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
         "encoding-two-pi",
         "the frequencies have a factor 2 pi: sin(2^j 2 pi p)",
-        {"(1 << np.arange(L)).astype(dtype)": "(2 * np.pi * (1 << np.arange(L))).astype(dtype)"},
+        {FREQUENCIES: "(2 * np.pi * (1 << np.arange(L))).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
         "encoding-degrees",
         "p is taken for degrees: sin(2^j p pi / 180)",
-        {"(1 << np.arange(L)).astype(dtype)": "(np.pi / 180 * (1 << np.arange(L))).astype(dtype)"},
+        {FREQUENCIES: "(np.pi / 180 * (1 << np.arange(L))).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
         "encoding-from-one",
         "the frequencies are 2^1 ... 2^L instead of 2^0 ... 2^(L-1)",
-        {"(1 << np.arange(L)).astype(dtype)": "(2 << np.arange(L)).astype(dtype)"},
+        {FREQUENCIES: "(2 << np.arange(L)).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
         "encoding-linear",
         "the frequencies are 1, 2, 3 ... instead of 1, 2, 4 ...",
-        {"(1 << np.arange(L)).astype(dtype)": "(1 + np.arange(L)).astype(dtype)"},
+        {FREQUENCIES: "(1 + np.arange(L)).astype(dtype)"},
     ),
     edited(
         "positional_encoding",
@@ -192,9 +193,7 @@ def with_encoding(id, description, wrong):
 
 def of_frequencies(text):
     """A positional encoding with other frequencies."""
-    return lambda: edited_equation(
-        "positional_encoding", {"(1 << np.arange(L)).astype(dtype)": f"({text}).astype(dtype)"}
-    )
+    return lambda: edited_equation("positional_encoding", {FREQUENCIES: f"({text}).astype(dtype)"})
 
 
 def with_cosines_first():

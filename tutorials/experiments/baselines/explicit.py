@@ -106,7 +106,7 @@ class Explicit:
     PROPERTIES: ClassVar[dict] = PLY_OF_3DGS  # of the arrays with one row for each Gaussian
 
     @property
-    def primitives(self):
+    def count(self):
         """The number of stored Gaussians."""
         return len(self.parameters["x"])
 
@@ -148,7 +148,7 @@ class Explicit:
 
     def save(self, path):
         """Write the file; returns its bytes as {"gaussians": ..., "network": ..., "other": ...}."""
-        arrays, normals = dict(self.parameters.arrays), np.zeros((self.primitives, 3))
+        arrays, normals = dict(self.parameters.arrays), np.zeros((self.count, 3))
         columns = [arrays.pop(name, normals) for name in self.PROPERTIES]
         columns = [array.reshape(len(array), -1) for array in columns]
         properties = [
@@ -162,7 +162,7 @@ class Explicit:
             "format binary_little_endian 1.0",
             f"comment {json.dumps(self.values())}",
             f"comment {len(network)} float32 of networks follow the vertices",
-            f"element vertex {self.primitives}",
+            f"element vertex {self.count}",
             *(f"property float {name}" for name in properties),
             "end_header\n",
         ]
@@ -257,14 +257,14 @@ class Trainer(trainer.Trainer):
         """Draw the first parameters."""
         self.start(Parameters(self.kind.initial(self.preset, self.rng, points)))
         self.extent = extent_of(self.scene.train)
-        self.statistics = Statistics.empty(self.primitives, 1)
+        self.statistics = Statistics.empty(self.count, 1)
 
     def adopt(self, parameters):
         """Take over parameters."""
         self.parameters = parameters
 
     @property
-    def primitives(self):
+    def count(self):
         """The number of Gaussians."""
         return len(self.parameters["x"])
 
@@ -311,7 +311,7 @@ class Trainer(trainer.Trainer):
         if not np.isfinite(L_total) or not np.isfinite(gradients.vector).all():
             bad = first_bad({"L_total": L_total, **gradients.arrays})
             raise NotFinite(f"iteration {self.iteration}: loss or gradient of {bad}")
-        unused = np.zeros((self.primitives, 1))  # opacities, which decide nothing here
+        unused = np.zeros((self.count, 1))  # opacities, which decide nothing here
         return (
             Losses(L_total, L_render, L1, D_SSIM, 0.0, 0.0),
             Rendered(unused, g.index, visible, image),
@@ -336,7 +336,7 @@ class Trainer(trainer.Trainer):
         keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter)
         if keep.any() or len(added["x"]):
             self.change_rows(rows, keep, added)
-        self.statistics = Statistics.empty(self.primitives, 1)
+        self.statistics = Statistics.empty(self.count, 1)
 
 
 # --- density control ------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from ..tables.methods import CODED, PAPERS, task_of  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
 
 SCENES, SEEDS, ITERATIONS = ("bouncing", "figure", "glossy"), range(3), 3800
-USUAL, HALF = 5e-4, 2.5e-4  # lambda_rate, the price of a bit
+HALF = 2.5e-4  # half of the usual lambda_rate, the price of a bit
 DESIGNS = ((PAPERS, {}), (CODED, {}), (CODED, {"lambda_rate": HALF}))
 COMMAND = "python -m tutorials.experiments.coded_networks.decision"
 
