@@ -125,7 +125,7 @@ def read(subject, folder=FOLDER):
             subject["equation"],
             subject["level"],
             case,
-            {t["name"]: arrays[f"{case['name']}/{t['name']}"] for t in case["tensors"]},
+            {name: arrays[f"{case['name']}/{name}"] for name in case["tensors"]},
             subject.get("group", ""),
         )
         for case in subject["cases"]
