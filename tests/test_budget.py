@@ -2,12 +2,15 @@
 
 import configparser
 import re
+import subprocess
 import sys
+from shutil import which
 
 import pytest
 
 from tests import ROOT
 from tests.budget import CEILINGS, PACKAGE, budget, files, imported, room_of, tokens
+from tests.processes import CAPTURED
 
 PACKAGE_FILES = files("p4dgs_ref")
 # A room imports itself and the rooms before it. The first row is the ground floor.
@@ -115,3 +118,11 @@ def test_requirements_are_the_named_packages():
     required = SETUP["options"]["install_requires"].split()
     assert {re.split(r"\W", requirement)[0] for requirement in required} == PACKAGES
     assert SETUP["options.extras_require"]["test"].split() == ["pytest>=7.0.0"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (ROOT / ".git").exists() or not which("git"), reason="no checkout")
+def test_a_checkout_is_small():
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, **CAPTURED).stdout
+    files = [ROOT / name for name in listed.split("\0") if name]
+    assert sum(file.stat().st_size for file in files if file.is_file()) <= 20_000_000

@@ -9,6 +9,7 @@ from scipy.special import ndtr
 from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import write_image
 from tutorials.tools import show
+from tutorials.tools.shared import in_few_colors
 
 SIGMA = 2.0  # steps
 
@@ -57,4 +58,5 @@ def write(folder):
         "noise": [frame(noise_to_rounding, *phase, f, u) for phase in phases],
     }
     for name, frames in moving.items():
+        frames = in_few_colors(np.array(frames))  # in all of them the same, which takes half
         write_image(folder / f"{name}.gif", frames, duration=150, loop=0)

@@ -11,7 +11,16 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 
 
 def page(files, notes=None):
-    """The page as bytes, for files {path: bytes}; it shows the first one when it is opened.
+    """The page as bytes, whole in itself: `with_files` with the scripts inside of it."""
+    return re.sub(
+        r'<script src="(.*)">',
+        lambda tag: "<script>\n" + (VIEWER / tag[1]).read_text(encoding="utf-8"),
+        with_files(files, notes),
+    ).encode()
+
+
+def with_files(files, notes=None):
+    """The text of page.html with files {path: bytes}; it shows the first one when it is opened.
 
     `notes` {path: {...}} say more of a file: `anchor` is the one that the guide follows. Files with
     `lambda_rate` and `psnr_db` (against the true pictures) give the guide its last step.
@@ -23,11 +32,7 @@ def page(files, notes=None):
     ]
     # The page has an empty list of files. No "<" in a name may end the script that holds it.
     files = 'id="files">' + json.dumps(embedded).replace("<", r"\u003c")
-    return re.sub(
-        r'<script src="(.*)">',
-        lambda tag: "<script>\n" + (VIEWER / tag[1]).read_text(encoding="utf-8"),
-        (VIEWER / "page.html").read_text(encoding="utf-8").replace('id="files">[]', files),
-    ).encode()
+    return (VIEWER / "page.html").read_text(encoding="utf-8").replace('id="files">[]', files)
 
 
 def view(files, path):

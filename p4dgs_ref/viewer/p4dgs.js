@@ -14,7 +14,7 @@
 // features. Arrays are typed and flat, row by row; [A, k, 3] says how they are meant.
 "use strict";
 
-(function (exported) {
+(function port(exported) {
   // --- small functions --------------------------------------------------------------------------
   const clip = (v, low, high) => Math.min(Math.max(v, low), high);
   const total = (values) => values.reduce((a, b) => a + b, 0);
@@ -952,5 +952,7 @@
   Object.assign(exported, { deformation, deformed, rotationMatrix, root, covariance, projection });
   Object.assign(exported, { compositing, spatialPrediction, temporalPrediction, splatting });
   Object.assign(exported, { render, centreOf, gaussianTable, nodesOf, NETWORKS, frontToBack });
-  Object.assign(exported, { codingContext });
+  // The text of all this, from which a page starts a worker.
+  const source = `"use strict"; (${port})(globalThis.p4dgs = {});`;
+  Object.assign(exported, { codingContext, source });
 })(typeof module === "object" ? module.exports : (globalThis.p4dgs = {}));

@@ -481,9 +481,9 @@
 
   const inWorker = (data) =>
     new Promise((resolve, reject) => {
-      const port = $("files").nextElementSibling.text; // p4dgs.js, where it is inside of the page
-      if (!port) throw new DOMException("the script is beside the page");
-      const url = URL.createObjectURL(new Blob([port, DECODE], { type: "text/javascript" }));
+      const url = URL.createObjectURL(
+        new Blob([p4dgs.source, DECODE], { type: "text/javascript" }),
+      );
       const worker = new Worker(url);
       const late = new Error(`decoding takes more than ${PATIENCE} seconds`);
       const timer = setTimeout(() => reject(late), 1000 * PATIENCE);

@@ -271,7 +271,9 @@ async function links(browser) {
   const coarse = readFileSync(join(ROOT, "tutorials", "tour", "rate_times_100.p4dgs"));
   const two = { "coarse.p4dgs": coarse, "demo.p4dgs": readFileSync(DEMO) };
   const held = Object.entries(two).map(([name, data]) => ({ name, base64: base64(data) }));
-  const page = readFileSync(join(ROOT, "tutorials", "viewer", "demo.html"), "utf8");
+  const viewer = join(ROOT, "tutorials", "viewer"); // from which the scripts are found
+  const page = readFileSync(join(viewer, "demo.html"), "utf8")
+    .replaceAll('src="', `src="${pathToFileURL(viewer)}/`);
   const filled = (text) => `id="files">${JSON.stringify(text)}</script>`;
   writeFileSync(at("two.html"), page.replace(/id="files">.*<\/script>/, filled(held)));
   const other = await seen("#step=children&file=2", String(pathToFileURL(at("two.html"))));

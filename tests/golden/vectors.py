@@ -158,21 +158,16 @@ def subject_file(subject, kept, keep=None):
     `kept` are published cases {name: Golden} that keep their tensors, with the records
     `keep(subject, case)`.
     """
-    records, tensors, names = [], {}, []
+    records, tensors = [], {}
     for case in subject.cases():
         if case.name in kept:
             record, arrays = keep(subject, kept[case.name]), kept[case.name].tensors
         else:
             record, arrays = vector(subject, case)
-        records.append(record)
-        names.append(list(arrays))
+        records.append({**record, "tensors": list(arrays)})
         tensors.update({f"{case.name}/{name}": a for name, a in arrays.items()})
     if len({record["id"] for record in records}) < len(records):
         raise ValueError(f"{subject.key}: two cases have one name")
-    data = safetensors.dump(tensors, {"license": "CC0-1.0"})
-    places = places_in(data)
-    for record, arrays in zip(records, names):
-        record["tensors"] = [{"name": n, **places[f"{record['name']}/{n}"]} for n in arrays]
     row = {
         "key": subject.key,
         "level": subject.level,
@@ -186,7 +181,7 @@ def subject_file(subject, kept, keep=None):
         "constants": subject.constants,
         "cases": records,
     }
-    return data, row
+    return safetensors.dump(tensors, {"license": "CC0-1.0"}), row
 
 
 def build(progress=lambda text: None, keep=None, again=()):
@@ -210,7 +205,7 @@ def build(progress=lambda text: None, keep=None, again=()):
     files["FLAGS.json"] = _json(flags())
     written = {name: (FOLDER / name).read_bytes() for name in WRITTEN}
     manifest = {
-        "format": 1,
+        "format": 2,
         "version": f"v{LATEST}",
         "license": "CC0-1.0",
         "generator": {
@@ -276,18 +271,6 @@ def write(folder, progress=lambda text: None, keep=None, again=()):
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
     return manifest
-
-
-def places_in(data):
-    """Return {name: {dtype, shape, offset, bytes}} of a safetensors file, from byte 0 on."""
-    start = 8 + int.from_bytes(data[:8], "little")
-    rows = json.loads(data[8:start]).items()
-    spans = {name: row.pop("data_offsets") for name, row in rows if name != "__metadata__"}
-    return {
-        name: {**row, "offset": start + spans[name][0], "bytes": spans[name][1] - spans[name][0]}
-        for name, row in rows
-        if name in spans
-    }
 
 
 def _json(value):

@@ -1,5 +1,7 @@
 """What right ports answer, as arrays, as files and through ports."""
 
+import json
+
 import numpy as np
 
 from p4dgs_ref.oracle import published, safetensors
@@ -13,6 +15,17 @@ def case_of(id):
         if case.id == id:
             return case
     raise LookupError(f"{id}: no such case is published")
+
+
+def places_in(data):
+    """{name: {dtype, shape, offset, bytes}} of a safetensors file, from byte 0 on."""
+    start = 8 + int.from_bytes(data[:8], "little")
+    places = json.loads(data[8:start])
+    places.pop("__metadata__", None)
+    for place in places.values():
+        at, end = place.pop("data_offsets")
+        place |= {"offset": start + at, "bytes": end - at}
+    return places
 
 
 def in_precision(tensors, dtype):

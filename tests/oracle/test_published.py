@@ -15,8 +15,8 @@ from p4dgs_ref.splatting.table import EQUATIONS
 from tests.golden.cases import FLAGS
 from tests.golden.mistakes import MISTAKES
 from tests.golden.subjects import lacking, subjects
-from tests.golden.vectors import IDS, WRITTEN, damaged, listed, places_in
-from tests.oracle.answers import Port
+from tests.golden.vectors import IDS, WRITTEN, damaged, listed
+from tests.oracle.answers import Port, places_in
 from tests.sampling import few
 
 
@@ -84,19 +84,21 @@ def test_files_are_those_of_the_manifest(manifest):
     assert files - made == {"manifest.json", "FLAGS.json", *WRITTEN}
 
 
-def test_every_offset_of_the_manifest_leads_to_its_numbers(manifest, golden):
+def test_the_header_of_every_file_leads_to_the_numbers_of_its_cases(manifest, golden):
     for subject in manifest["subjects"]:
-        data = (published.FOLDER / subject["file"]).read_bytes()
-        for case, read in zip(subject["cases"], golden[subject["key"]]):
-            for tensor in case["tensors"]:
-                raw = data[tensor["offset"] : tensor["offset"] + tensor["bytes"]]
-                a = np.frombuffer(raw, safetensors.DTYPES[tensor["dtype"]]).reshape(tensor["shape"])
-                assert a.tobytes() == read.tensors[tensor["name"]].tobytes()
+        data, cases = (published.FOLDER / subject["file"]).read_bytes(), golden[subject["key"]]
+        read = {f"{case.name}/{name}": a for case in cases for name, a in case.tensors.items()}
+        places = places_in(data)
+        assert read.keys() == places.keys()
+        for name, place in places.items():
+            raw = data[place["offset"] :][: place["bytes"]]
+            a = np.frombuffer(raw, safetensors.DTYPES[place["dtype"]]).reshape(place["shape"])
+            assert a.tobytes() == read[name].tobytes()
 
 
-def test_the_manifest_has_values_and_gradients_of_every_level(manifest):
+def test_the_manifest_has_values_and_gradients_of_every_level(manifest, golden):
     for subject in (row for row in manifest["subjects"] if row["level"] == "L1"):
-        roles = {t["name"].split(".")[0] for case in subject["cases"] for t in case["tensors"]}
+        roles = {name.split(".")[0] for case in golden[subject["key"]] for name in case.tensors}
         assert {"in", "out", "scale"} <= roles
         assert bool(subject["differentiable"]) == ({"out_bar", "in_bar"} <= roles), subject["key"]
     assert {s["level"] for s in manifest["subjects"]} == {"L0", "L1", "L2", "L3", "L4"}
@@ -198,13 +200,13 @@ def test_an_input_has_one_type():
     """In all cases of a subject; and whole numbers are whole in all subjects."""
     types, kinds = {}, {}
     for subject in published.read_manifest()["subjects"]:
-        for tensor in (t for case in subject["cases"] for t in case["tensors"]):
-            role, name, *_ = tensor["name"].split(".")
+        tensors = (pair for case in published.read(subject) for pair in case.tensors.items())
+        for tensor, a in tensors:
+            role, name, *_ = tensor.split(".")
             if role != "scale":
-                kind = tensor["dtype"][0]
                 at = subject["key"], role, name
-                assert types.setdefault(at, tensor["dtype"]) == tensor["dtype"], at
-                assert role != "in" or kinds.setdefault(name, kind) == kind, at
+                assert types.setdefault(at, a.dtype) == a.dtype, at
+                assert role != "in" or kinds.setdefault(name, a.dtype.kind) == a.dtype.kind, at
 
 
 # --- honest -------------------------------------------------------------------------------------

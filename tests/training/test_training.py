@@ -151,7 +151,7 @@ def test_changes_as_text_and_as_values_agree():
 def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
     stream, (image, truth) = io.StringIO(), np.ones((2, 1, 2, 3)) * [[[[1.5]]], [[[0.9]]]]
     preset = SimpleNamespace(iterations=24, stage=lambda step: step + 1)
-    trainer = SimpleNamespace(iteration=1, preset=preset, primitives=2, history=[])
+    trainer = SimpleNamespace(iteration=1, preset=preset, count=2, history=[])
     shown = progress.Progress(stream)
     monkeypatch.setattr(progress.time, "monotonic", lambda: shown.shown + 2)
     losses = SimpleNamespace(L_total=0.5, L_rate=3.25)

@@ -28,7 +28,7 @@ def held(page):
 
 def rebuilt(file):
     """The bytes of a page that is made anew, with the files that it holds."""
-    return view.page(*held(file.read_text(encoding="utf-8")))
+    return lambdas.page(*held(file.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("file", PAGES, ids=lambda file: file.name)

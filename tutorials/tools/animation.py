@@ -15,8 +15,8 @@ from p4dgs_ref.scenes.simulator.trace import trace
 from tutorials.tools import show
 from tutorials.tools.shared import in_few_colors
 
-FRAMES = 22
-MILLISECONDS = 80  # a frame
+FRAMES = 16
+MILLISECONDS = 110  # a frame
 AZIMUTHS = (0, 60)  # degrees, of the first and the last frame
 ELEVATION = 35  # degrees
 ENLARGED = 4  # times the sides of a training view
@@ -24,7 +24,6 @@ GAP = 12  # pixels between panels and around them
 HEAD = 34  # pixels for the titles
 FOOT = 46  # pixels for the scale of the error
 ERROR = {"cmap": "magma", "vmin": 0, "vmax": figures.ERROR_RANGE}  # its colours
-SAMPLED = 23  # one in so many pixels chooses the colours of the GIF
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -87,6 +86,5 @@ def write_animation(path, model, name="bouncing"):
         )
         for camera, t in views(description)
     ]
-    frames = np.array([frame(*one) for one in shown])
-    frames = in_few_colors(frames, SAMPLED)
+    frames = in_few_colors(np.array([frame(*one) for one in shown]))
     write_image(path, [*frames, *frames[-2:0:-1]], duration=MILLISECONDS, loop=0)

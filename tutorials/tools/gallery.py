@@ -3,8 +3,6 @@
 `python -m tutorials.tools.syllabus` draws them anew.
 """
 
-import imageio.v3 as iio
-
 from p4dgs_ref import output
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import accuracy, effect_ledger, stability
@@ -13,9 +11,8 @@ from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.report import figures
 from p4dgs_ref.report.evaluate import compression, evaluate
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.files import image_bytes
 from tutorials.tools import animation, architecture
-from tutorials.tools.shared import FOLDER, in_few_colors
+from tutorials.tools.shared import FOLDER, in_few_bytes
 
 RECORDS = FOLDER / "experiments" / "records"
 
@@ -41,20 +38,15 @@ PICTURES = {  # {picture: the file that a tutorial or a function below writes in
 }
 
 
-def in_few_bytes(figure):
-    """The bytes of a picture's file; a PNG gets 256 colours, with which it is a third as large."""
-    if figure.suffix != ".png":
-        return figure.read_bytes()
-    image = iio.imread(figure)[..., :3]
-    return image_bytes(in_few_colors(image), ".png", bits=8, optimize=True)
-
-
 def take(out):
     """Renew those pictures of the gallery whose figures are in the folder `out`."""
     with output.staged_folder(FOLDER / "pictures") as staging:
         for name, figure in PICTURES.items():
             if (out / figure).is_file():
-                (staging / name).write_bytes(in_few_bytes(out / figure))
+                data = (out / figure).read_bytes()
+                if name.endswith(".png"):
+                    data = in_few_bytes(data)
+                (staging / name).write_bytes(data)
 
 
 def draw_demo(out):

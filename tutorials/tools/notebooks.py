@@ -21,14 +21,10 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
-import imageio.v3 as iio
-import numpy as np
-
 from p4dgs_ref.output import writable_folder
-from tutorials.tools.shared import FOLDER, run, write_text
+from tutorials.tools.shared import FOLDER, in_few_bytes, run, write_text
 
-DPI = 100  # of the figures: most are 800 pixels wide
-COLOR_STEP = 5  # of 255; rounding the colours saves a third of the bytes, and nobody sees it
+DPI = 72  # of the figures: most are 600 to 950 pixels wide
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
 ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
@@ -202,8 +198,7 @@ def figures(plt):
         figure, file = plt.figure(number), io.BytesIO()
         figure.savefig(file, format="png", dpi=DPI, bbox_inches="tight")
         plt.close(figure)
-        pixels = np.rint(iio.imread(file.getvalue())[..., :3] / COLOR_STEP) * COLOR_STEP
-        png = iio.imwrite("<bytes>", pixels.astype(np.uint8), extension=".png", optimize=True)
+        png = in_few_bytes(file.getvalue())
         shown.append(
             {
                 "output_type": "display_data",

@@ -5,10 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import imageio.v3 as iio
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 
 from p4dgs_ref.output import write_atomically
+from p4dgs_ref.scenes.files import image_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tutorials"
@@ -42,17 +44,26 @@ def write_text(path, text):
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def in_few_colors(pixels, every=1):
-    """The pixels [..., 3] in 8 bits, in at most 256 colours, chosen by one in `every` pixels.
+def in_few_colors(pixels):
+    """The pixels [..., 3] in 8 bits, in at most 256 colours.
 
-    The two most frequent ones are among them; the others stand for rare colours as well.
+    The two most frequent ones are among them; the others stand for rare colours as well, because a
+    colour counts as the root of its pixels.
     """
-    flat = pixels.reshape(-1, 3)
-    colors, counts = np.unique(flat[::every], axis=0, return_counts=True)
+    number = pixels.reshape(-1, 3) @ np.array((2**16, 2**8, 1))
+    numbers, which, counts = np.unique(number, return_inverse=True, return_counts=True)
+    colors = (numbers[:, None] >> (16, 8, 0) & 255).astype(float)
     frequent = colors[np.argsort(-counts, kind="stable")[:2]]
-    others = kmeans2(colors.astype(float), min(254, len(colors)), minit="++", seed=0)[0]
+    sample = np.repeat(colors, np.sqrt(counts).astype(int), axis=0)
+    sample = sample[:: 1 + len(sample) // 20_000]  # sorted, so that of similar ones some are left
+    others = kmeans2(sample, min(254, len(colors)), minit="++", seed=0)[0]
     chosen = np.concatenate([frequent, np.rint(others)])
-    return chosen[vq(flat.astype(float), chosen)[0]].astype(np.uint8).reshape(pixels.shape)
+    return chosen[vq(colors, chosen)[0]].astype(np.uint8)[which].reshape(pixels.shape)
+
+
+def in_few_bytes(png):
+    """The bytes of a PNG in at most 256 colours, which are a half or a third as many."""
+    return image_bytes(in_few_colors(iio.imread(png)[..., :3]), ".png", bits=8, optimize=True)
 
 
 def markdown_table(heads, rows):

@@ -268,7 +268,8 @@ def draw_pictures():
         tour_moving.write(staging / "tour")
         for i, title in enumerate(PICTURES, 1):
             figure = page(title)
-            pages.savefig(figure, bbox_inches=figure.bbox_inches)  # whatever rcParams say
+            # Whatever rcParams say; text and lines are sharp, and pictures have 72 dpi.
+            pages.savefig(figure, bbox_inches=figure.bbox_inches, dpi=72)
             figure.canvas.draw()  # after the pass for the page, so that the layout has settled
             pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
             pixels = shared.in_few_colors(pixels)

@@ -17,6 +17,7 @@ import numpy as np  # noqa: E402
 from p4dgs_ref.lab.writer import aligned, grouped  # noqa: E402
 from p4dgs_ref.report.figures import COLORS, save_figure, styled, subplots  # noqa: E402
 from p4dgs_ref.scenes import load_scene  # noqa: E402
+from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
 from ..tables.methods import CODED, PAPERS, task_of  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
@@ -87,7 +88,9 @@ def main(words):
     found = rows(plan(), "beyond_networks", options.folder, options.part, options.jobs)
     if options.part == (1, 1):
         print(*table(found), sep="\n")
-        draw(found, options.folder / "coded_networks.png")
+        drawn = options.folder / "coded_networks.png"
+        draw(found, drawn)
+        drawn.write_bytes(in_few_bytes(drawn))
 
 
 if __name__ == "__main__":

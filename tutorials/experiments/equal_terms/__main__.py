@@ -11,6 +11,7 @@ import p4dgs_ref
 p4dgs_ref.prepare()  # before NumPy
 
 from p4dgs_ref.lab.writer import grouped  # noqa: E402
+from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
 from .. import PICTURES  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
@@ -46,7 +47,9 @@ def main(words):
         curve.tell(curve.read())
         steps.tell(curve.read())
         numbers.tell(curve.read())
-        picture.draw(curve.read(), PICTURES / "equal_terms.png")
+        drawn = PICTURES / "equal_terms.png"
+        picture.draw(curve.read(), drawn)
+        drawn.write_bytes(in_few_bytes(drawn))
 
 
 if __name__ == "__main__":
