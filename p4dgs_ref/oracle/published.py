@@ -15,8 +15,6 @@ import numpy as np
 from . import safetensors
 from .compare import too_wide
 
-# The vectors of version 1.0. The "v1.2" of their manifest and the field `since` of some cases and
-# streams count the drafts before the release. The bytes of published files stay.
 FOLDER = Path(__file__).with_name("v1")
 LEVELS = {
     "L0": "scalars",

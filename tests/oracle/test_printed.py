@@ -149,6 +149,9 @@ NOT_ASKED = {
     "hash_grid/H-P5.hashed_upper_face": ["in_bar.grids.1"],
     "likelihood/H-R5.width1000": None,
     "likelihood/H-R5.width1e+06": None,
+    "kernel_many/sorting": ["out.image", "in_bar.background"],
+    "training_steps/growing": ["out.gradient.3"],
+    "training/growing": ["out.gradient"],
 }
 
 
