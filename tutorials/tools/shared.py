@@ -47,16 +47,16 @@ def write_text(path, text):
 def in_few_colors(pixels):
     """The pixels [..., 3] in 8 bits, in at most 256 colours.
 
-    The two most frequent ones are among them; the others stand for rare colours as well, because a
+    The sixteen most frequent ones are among them; the others stand for rare colours, too, because a
     colour counts as the root of its pixels.
     """
     number = pixels.reshape(-1, 3) @ np.array((2**16, 2**8, 1))
     numbers, which, counts = np.unique(number, return_inverse=True, return_counts=True)
     colors = (numbers[:, None] >> (16, 8, 0) & 255).astype(float)
-    frequent = colors[np.argsort(-counts, kind="stable")[:2]]
+    frequent = colors[np.argsort(-counts, kind="stable")[:16]]
     sample = np.repeat(colors, np.sqrt(counts).astype(int), axis=0)
     sample = sample[:: 1 + len(sample) // 20_000]  # sorted, so that of similar ones some are left
-    others = kmeans2(sample, min(254, len(colors)), minit="++", seed=0)[0]
+    others = kmeans2(sample, min(240, len(colors)), minit="++", seed=0)[0]
     chosen = np.concatenate([frequent, np.rint(others)])
     return chosen[vq(colors, chosen)[0]].astype(np.uint8)[which].reshape(pixels.shape)
 
