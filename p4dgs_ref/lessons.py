@@ -410,7 +410,7 @@ def problem(cases, port, roles):
     checker = oracle().checker
     kept = SimpleNamespace(run=run, asked=("out.", *roles))
     report = checker.Report(checker.check_subject(cases, kept))
-    first, spared = report.first, [r.id for r in report.results if r.recipe or r.unasked]
+    first, spared = report.first, [r.id for r in report.results if r.recipe or r.not_judged]
     if first is None:
         recipe = checker.RECIPES.get(cases[0].subject)
         return "", f", but digits are lost in {', '.join(spared)}: {recipe}" if spared else ""

@@ -1,14 +1,14 @@
 """Files and folders that are never half-written.
 
 Everything is written into a hidden folder `.p4dgs-part-...` beside its place and then renamed. A
-rename replaces a file in one step, so a reader sees the old file or the whole new one. Where a
-process is killed, its hidden folder stays. Who writes files into a folder of its own holds the lock
-of that folder, from the check of what is there to the last file.
+rename replaces a file in one step, so a reader sees the old file or the whole new one. If a process
+is killed, its hidden folder stays. A command that writes several files into a folder holds the lock
+of that folder, from the check of what is there until the last file is written.
 
-What a command may replace: a regular file that it does not read. Where the user names the file, it
-is empty or of the kind that is written, which its first bytes tell; in a folder that the user
-names, it bears the name of one of the command's own files. What a training has made, a checkpoint
-or a report of `demo`, is never replaced by another training.
+A command may replace only regular files that it does not read. A file that the user names must be
+empty or of the kind that is written, which its first bytes tell. In a folder that the user names,
+only files with the names of the command's own files are replaced. A checkpoint of `train` or a
+report of `demo` is never replaced by another training.
 """
 
 import errno
@@ -70,10 +70,10 @@ def destination(path):
 
 @contextmanager
 def new_part(folder):
-    """Yield a hidden folder inside of `folder`, which is removed at the end.
+    """Yield a hidden folder inside `folder`, which is removed at the end.
 
     An error of the system names the file in `folder` that was written last. The hidden folder is
-    also removed where the process has no descriptors left, and never hides an earlier error.
+    removed even if the process has no file descriptors left; this hides no earlier error.
     """
     with ExitStack() as spare:
         for _ in range(SPARE):
@@ -145,9 +145,9 @@ def writable_folder(path):
 def staged_folder(path, reads=None):
     """Yield a fresh folder to write into, whose files move to the folder `path` at the end.
 
-    The folder `path` is locked in the meantime, so what is there may be checked first. After an
-    error nothing is moved. None of the files may take the place of the file `reads`. A signal
-    while they move raises KeyboardInterrupt at the end, which says that they are written.
+    The folder `path` is locked in the meantime, so its content may be checked first. After an error
+    nothing is moved. None of the files may replace the file `reads`. A signal that arrives while
+    they move raises KeyboardInterrupt at the end, and its message says that they are written.
     """
     with writable_folder(path) as folder, locked(folder), new_part(folder) as part:
         yield part

@@ -23,10 +23,10 @@ rng = np.random.default_rng(4)
 
 # %% [markdown]
 # ## What fails without it
-# The last layer of a network gives any number, and taken as they come, colours leave the range from
-# black to white, sizes become negative or huge, and a quaternion of length 30 makes its Gaussian
-# 900 times as long. The pictures draw the trained scene, each time with one attribute as its
-# network gives it.
+# The last layer of a network can return any number. Used directly, its outputs would give colours
+# outside the range from black to white, sizes that are negative or huge, and quaternions of any
+# length: one of length 30 makes its Gaussian 900 times as long. The pictures draw the trained
+# scene, each time with one attribute as its network returns it.
 
 # %%
 from p4dgs_ref.equations import anchor_network, color, rotation, scale, view
@@ -306,10 +306,10 @@ assert close(rounded / exact, 1.025)
 
 # %% [markdown]
 # ## What this idea buys
-# The bar is that of `01_offsets`: four networks and a feature take the place of 59 numbers each. In
-# the paper the networks of anchors and context together are 0.038 of 0.857 MB (Table 4); here they
-# are larger than all anchors, because 199 anchors share them and not some 20,000 (positions of 0.12
-# MB, 6 bytes each).
+# The picture is that of `01_offsets`: four networks and a feature take the place of 59 numbers for
+# each Gaussian. In the paper the networks of anchors and context together are 0.038 of 0.857 MB
+# (Table 4). Here they are larger than all anchors, because only 199 anchors share them; in the
+# paper some 20,000 do (their positions have 0.12 MB, at 6 bytes each).
 
 # %%
 from tutorials import gains

@@ -30,7 +30,7 @@ circle = np.stack([np.cos(turn), np.sin(turn)])  # the figures bend it into elli
 # $$R = \begin{pmatrix} 1-2(y^2+z^2) & 2(xy-wz) & 2(xz+wy) \\ 2(xy+wz) & 1-2(x^2+z^2) & 2(yz-wx) \\
 #   2(xz-wy) & 2(yz+wx) & 1-2(x^2+y^2) \end{pmatrix}.$$
 #
-# This tutorial and the next two are about the room `p4dgs_ref/splatting/`. The first file to read
+# This tutorial and the next two are about the folder `p4dgs_ref/splatting/`. The first file to read
 # there is `loop.py`: it renders an image with plain loops over pixels and Gaussians, and
 # `15_compositing` explains it.
 

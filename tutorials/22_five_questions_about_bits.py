@@ -370,8 +370,8 @@ assert correlation > 0.6
 assert 2.5 < learned[w > 0].max() / learned[w > 0].min() < 3.5
 
 # %% [markdown]
-# In logarithms they are correlated, but the first panel below shows how far they are from the law:
-# a decade is as long on both axes there, and the learned steps differ by a factor of 3 only.
+# Their logarithms are correlated, but the first panel below, in which a decade is as long on both
+# axes, shows how far they are from the law: the learned steps differ only by a factor of 3.
 #
 # What is the gain? All features are rounded with three kinds of steps, each scaled from fine to
 # coarse. The learned steps are better than one step for all over most of the range. The steps

@@ -354,10 +354,10 @@ lessons.show(figure, "24_hard_cases_layers")
 
 # %% [markdown]
 # ## Break it
-# Let a port invert the projected covariance in `float32`. Of all cases that the vectors ask in
+# Let a port invert the projected covariance in `float32`. Of all cases that are judged in
 # `float32`, the ordinary one included, only one fails: the needle of $10^4$ px. It fails because of
 # `strict=True`; otherwise the check does not judge it, since no port in `float32` alone can draw
-# it. Two more cases are not asked, because rounding their inputs to `float32` would change the
+# it. Two more cases are not judged, because rounding their inputs to `float32` would change the
 # right answer: an even thinner needle, and a centre exactly on the near plane, 0.2, which `float32`
 # rounds up.
 
@@ -389,8 +389,8 @@ report = oracle.check(single_conic, "projection", strict=True, dtype="float32")
 verdicts = {}
 for result in report.results:
     verdicts.setdefault(result.verdict, set()).add(result.id.split("/")[1])
-print("failed:", verdicts["fail"], "not asked:", verdicts["unasked"])
-assert (verdicts["fail"], verdicts["unasked"]) == ({"H-G3.1e4px"}, {"behind", "needle"})
+print("failed:", verdicts["fail"], "not judged:", verdicts["not_judged"])
+assert (verdicts["fail"], verdicts["not_judged"]) == ({"H-G3.1e4px"}, {"behind", "needle"})
 assert "ordinary" in verdicts["pass"]
 
 # %% [markdown]

@@ -26,8 +26,8 @@ architecture.show("27_rate_distortion", "total_loss", "rate_loss", "file")
 # loss one bit per coded number is worth:
 # $$\mathcal{L}_{total} = \lambda_{rate}\mathcal{L}_{rate} + \mathcal{L}_{render} \tag{15}$$
 # Train once for each value of $\lambda_{rate}$, and every training gives one point on the curve
-# of what is possible. Two methods may be compared at equal PSNR, and only if both are stored alike:
-# most of a factor of a hundred can be float32 and the size of a network.
+# of what is possible. Two methods may be compared only at equal PSNR, and only if both are stored
+# alike: most of a factor of a hundred may come from float32 and from the size of a network.
 
 # %% [markdown]
 # ## By hand

@@ -114,9 +114,9 @@ lessons.caught(
 # ## Break it
 # Here are seven mistakes. Each replaces one expression of the port. The table says which subjects
 # are run, which case must fail first, and how many of their cases fail. The last mistake was really
-# made, when the code was shortened. A splat that nothing cuts has an infinite reach, and where it
-# is also infinitely wide, its conic is 0, and infinity times zero is NaN. No picture of a trained
-# model shows this; the case `equal_depths` and nine others do.
+# made, when the code was shortened. The reach of a splat that nothing cuts off is infinite. If the
+# splat is also infinitely wide, its conic is 0, and infinity times zero is NaN. No picture of a
+# trained model shows this; the case `equal_depths` and nine others do.
 
 # %%
 MISTAKES = {
@@ -178,9 +178,9 @@ for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).
 
 # %% [markdown]
 # Read the first divergence and leave the rest. In the whole check, weights read by columns fail in
-# 59 cases, but the first is `mlp`, the only one to mend. Three mistakes the checker knows by name,
-# and it explains what the port does. The hash is the opposite: a single case fails, one that was
-# made for it, and no picture would ever have told.
+# 59 cases, but the first is `mlp`, the only one to mend. The checker knows three of the mistakes by
+# name, and explains what the port does. The hash is the opposite: a single case fails, one that was
+# made for it, and no picture would ever have shown the mistake.
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 4))
@@ -191,15 +191,15 @@ lessons.show(figure, "28_porting", title="Seven mistakes in one line each")
 # %% [markdown]
 # ## What a codec does with it
 # The makers of a video codec publish *conformance streams*: files, and what a decoder must find in
-# them. Here they are level L3, 97 small files, of which 68 must be refused. A decoder's numbers
-# must agree bit for bit, so no tolerance hides anything: a shift in 32 bits spoils 23 files.
+# them. Here they are level L3, 69 small files, of which 46 must be refused. A decoder's numbers
+# must agree bit for bit, so no tolerance hides anything: a shift in 32 bits spoils all 23 others.
 #
-# What a decoder *says* of a bad file is not judged, and there the port had its other mistakes. It
-# read the networks in the order of the sections, where the package reads psi_d last; of a file
-# with two damaged sections the two named different ones. And once two arguments of a refusal were
-# exchanged, so that the byte was a text. All streams passed. What found both was a comparison of
-# section, byte and kind, on the streams and on 2,000 damaged files. A promise that is not checked
-# is not kept for long.
+# The *reason* that a decoder gives for refusing a file is not judged, and there the port had two
+# more mistakes. It read the networks in the order of the sections, whereas the package reads psi_d
+# last, so the two named different sections of a file in which two are damaged. And once two
+# arguments of a refusal were exchanged, so that a text stood where the byte should be. All streams
+# passed. Both mistakes were found by comparing section, byte and kind of the refusals, on the
+# streams and on 2,000 damaged files.
 
 # %% [markdown]
 # ## Exercises

@@ -24,7 +24,7 @@ def require(condition, where, expected):
 
 
 def visible(text, kept=""):
-    """The text with every character that a terminal would obey or cannot show as its escape."""
+    """The text with an escape for every character that controls a terminal or cannot be shown."""
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
 
 
@@ -72,10 +72,10 @@ def show(arguments, value, text):
 
 
 def ask(arguments, what, seconds, free=0):
-    """Say how long trainings take, and go on only if the user wants it; --yes does.
+    """Print how long trainings take, and continue only if the user or --yes agrees.
 
-    Trainings of less than `free` seconds start without a question; of these, the estimate is shown
-    for those of more than a minute.
+    Trainings of less than `free` seconds start without a question; their estimate is printed if it
+    is more than a minute.
     """
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()

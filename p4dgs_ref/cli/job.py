@@ -36,8 +36,8 @@ from . import (
 )
 
 SECONDS = 6e-3, 5e-6, 2e-6  # of a step on a slow core; for each child of an anchor, each pixel
-HOUR = 3600  # a longer training is asked about
-HELD = "azimuth elevation distance size frames".split()  # options of the camera of `render`
+HOUR = 3600  # a longer training starts only after a question
+FIXED = "azimuth elevation distance size frames".split()  # options of the camera of `render`
 
 
 def read_preset(name, changes=()):
@@ -63,7 +63,7 @@ def read_file(path):
 
 
 def load(arguments):
-    """The scene of a command; while it is read, a line now and then says how far."""
+    """The scene of a command; while it is read, a line every ten seconds says how far."""
     due = time.monotonic() + 2
 
     def report(done, total):
@@ -76,7 +76,7 @@ def load(arguments):
 
 
 def estimate(arguments, scene, preset):
-    """Say about how long a training takes; one of more than an hour starts only if it is wanted."""
+    """Say about how long a training takes; one of more than an hour starts after a question."""
     anchors = preset.anchors if scene.points is None else len(scene.points)
     image = scene.train[0].image
     step = np.dot(SECONDS, (1, anchors * preset.k, image[..., 0].size))
@@ -86,7 +86,9 @@ def estimate(arguments, scene, preset):
 
 def demo(arguments):
     """Run the main job and write its report."""
-    preset, scene = read_preset(arguments.preset, arguments.changes), load(arguments)
+    preset = read_preset(arguments.preset, arguments.changes)
+    refuse_existing(Path(arguments.output) / "metrics.json")
+    scene = load(arguments)
     estimate(arguments, scene, preset)
     metrics = p4.main_job(
         scene,
@@ -106,13 +108,14 @@ def simulate(arguments):
 
 
 def train(arguments):
-    """Fit a scene into a run folder."""
+    """Train on a scene and write a run folder."""
     preset, resume = read_preset(arguments.preset, arguments.changes), arguments.resume
+    if not resume:
+        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
     scene = load(arguments)
     if arguments.points:
         scene = replace(scene, points=read_points_for(scene, arguments.points))
     if not resume:
-        refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
         estimate(arguments, scene, preset)
         if "effects" not in read_scene_json(scene.source):
             print_warning(
@@ -172,18 +175,12 @@ def decode(arguments):
 
 
 def render(arguments):
-    """Draw pictures of a file into a folder that has none; of a held camera also as a GIF."""
+    """Draw pictures of a file into a new folder; those of a fixed camera also as a GIF."""
     output, scene = Path(arguments.output), arguments.scene
-    held = {name: value for name in HELD if (value := getattr(arguments, name)) is not None}
-    require(not (scene and held), f"--{', --'.join(held)}", "expected without --scene")
+    fixed = {name: value for name in FIXED if (value := getattr(arguments, name)) is not None}
+    require(not (scene and fixed), f"--{', --'.join(fixed)}", "expected without --scene")
     require(scene or arguments.downscale == 1, "--downscale", "expected together with --scene")
     _, model, _ = read_file(arguments.file)
-    if scene:
-        kind, views = "view", [(view.camera, view.time) for view in load(arguments).test]
-    else:
-        times = np.linspace(0, 1, held.pop("frames", 24))
-        camera = figures.held_camera(model, **held)
-        kind, views = "t", [(camera, t) for t in times]
     with staged_folder(output) as staging:
         require(
             not any(output.glob("[!.]*")),
@@ -191,6 +188,12 @@ def render(arguments):
             "has files already; expected a new or an empty folder, so that all pictures are of one "
             "run",
         )
+        if scene:
+            kind, views = "view", [(view.camera, view.time) for view in load(arguments).test]
+        else:
+            times = np.linspace(0, 1, fixed.pop("frames", 24))
+            camera = figures.fixed_camera(model, **fixed)
+            kind, views = "t", [(camera, t) for t in times]
         images = [np.clip(model.render(*view), 0, 1) for view in views]
         for i, image in enumerate(images):
             pixels = (image * 255).round().astype(np.uint8)
@@ -211,7 +214,7 @@ def view(arguments):
 
 
 def evaluate(arguments):
-    """Score a file on the test views of a scene."""
+    """Measure a file on the test views of a scene."""
     data, model, seconds = read_file(arguments.file)
     scene = load(arguments)
     metrics, rows, images = p4.evaluate(model, scene)
@@ -241,6 +244,5 @@ def inspect(arguments):
 def presets(arguments):
     """Print the presets beside the paper's values."""
     one = arguments.preset
-    print_result(
-        text.presets([read_preset(name) for name in ([one] if one else p4.PRESETS)], bool(one))
-    )
+    for name in [one] if one else p4.PRESETS:
+        print_result(text.preset(read_preset(name), bool(one)))

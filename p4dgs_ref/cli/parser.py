@@ -82,7 +82,7 @@ def output(help, **settings):
 
 
 JSON = switch("--json", "print JSON instead of text")
-YES = switch("--yes", "begin long trainings without being asked")
+YES = switch("--yes", "begin long trainings without asking")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a folder of pictures with cameras, or the name of a packaged scene"
@@ -92,13 +92,13 @@ DOWNSCALE = option(
     type=bounded(int, 1),
     default=1,
     metavar="N",
-    help="divide both sides of the scene's pictures by this (1)",
+    help="divide both sides of the scene's pictures by N (default 1)",
 )
 SETTINGS = (
-    option("--preset", default="tiny", metavar="NAME", help="of `presets` (tiny)"),
-    option("--seed", type=bounded(int, 0), default=0, metavar="N", help="of everything random (0)"),
+    option("--preset", default="tiny", metavar="NAME", help="one of `presets` (default tiny)"),
+    option("--seed", type=bounded(int, 0), default=0, metavar="N", help="random seed (default 0)"),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
-    switch("--quiet", "no progress line"),
+    switch("--quiet", "show no progress"),
     YES,
 )
 ORACLE = {
@@ -106,7 +106,7 @@ ORACLE = {
     "equations": ("oracle.list_equations", "print the table of equations", ()),
     "export": (
         "oracle.export_vectors",
-        "copy the vectors into a folder, and say where they are installed",
+        "copy the vectors into a folder, and print where they are installed",
         (option("folder", help="folder to write to"),),
     ),
     "check": (
@@ -119,23 +119,25 @@ ORACLE = {
                 help="folder of the port's answers, <subject>.safetensors or .npz",
             ),
             JSON,
-            option("--adapter", metavar="CMD", help="command of a port that answers lines of JSON"),
+            option(
+                "--adapter", metavar="CMD", help="command that starts a port, which answers in JSON"
+            ),
             option(
                 "--timeout",
                 type=bounded(float, 0.01, 86400),
                 metavar="SECONDS",
-                help="for each answer of the adapter, compilation included (10)",
+                help="limit for each answer of the adapter, compilation included (default 10)",
             ),
             option(
                 "--dtype",
                 choices=("float64", "float32"),
-                help="precision of the numbers sent to the adapter (float64)",
+                help="precision of the numbers sent to the adapter (default float64)",
             ),
             several("--level", "LEVEL", "only this level, L0 to L4; may be repeated"),
             several(
                 "--only", "NAME", "only this equation, subject, group or case; may be repeated"
             ),
-            switch("--strict", "demand all digits, also where the printed formula has fewer"),
+            switch("--strict", "require all digits, also where the printed formula has fewer"),
         ),
     ),
 }
@@ -144,17 +146,17 @@ GROUPS = {
     "The main job, for everyone who follows the paper": {
         "demo": (
             "job.demo",
-            "all of it: fit a scene, compress, decode, render, measure, draw",
+            "all of it: train on a scene, compress, decode, render, measure, draw",
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 DOWNSCALE,
                 *SETTINGS,
-                output("folder of the report (report)", default="report"),
+                output("folder of the report (default report)", default="report"),
             ),
         ),
         "train": (
             "job.train",
-            "fit a scene",
+            "train on a scene, and write a run folder",
             (
                 SCENE,
                 DOWNSCALE,
@@ -162,10 +164,10 @@ GROUPS = {
                 option(
                     "--points",
                     metavar="FILE",
-                    help="start from points in scene coordinates, a .npy or .ply",
+                    help="start from the points of a .npy or .ply, in scene coordinates",
                 ),
-                output("run folder", required=True),
-                switch("--resume", "go on from the checkpoint in the run folder"),
+                output("run folder to write", required=True),
+                switch("--resume", "continue from the checkpoint in the run folder"),
             ),
         ),
         "encode": (
@@ -175,39 +177,39 @@ GROUPS = {
         ),
         "decode": (
             "job.decode",
-            "write the arrays of a file as npz, its settings as JSON",
+            "write the arrays of a file as model.npz, its design as model.json",
             (FILE, NEW_FOLDER),
         ),
         "render": (
             "job.render",
-            "draw a file over time, from a held camera or from the test views of a scene",
+            "draw a file over time, seen by a fixed camera or by the test cameras of a scene",
             (
                 FILE,
                 output("new folder to write to", required=True),
                 option(
                     "--azimuth",
                     type=bounded(float, -360, 360),
-                    help="degrees about z (40)",
+                    help="direction of the camera, degrees about the z axis (default 40)",
                 ),
                 option(
                     "--elevation",
                     type=bounded(float, -89, 89),
-                    help="degrees (30)",
+                    help="degrees above the xy plane (default 30)",
                 ),
                 option(
                     "--distance",
                     type=bounded(float, 1e-3, 1e6),
-                    help="from the middle of the anchors (3.6), with a field of view of 41 degrees",
+                    help="from the anchors (default 3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
                     type=bounded(int, 1, 4096),
-                    help="pixels along a side (128)",
+                    help="pixels along a side (default 128)",
                 ),
                 option(
                     "--frames",
                     type=bounded(int, 1, 10_000),
-                    help="times in 0 ... 1 (24)",
+                    help="number of pictures, from time 0 to 1 (default 24)",
                 ),
                 option("--scene", help="use the test cameras and times of this scene instead"),
                 DOWNSCALE,
@@ -215,8 +217,8 @@ GROUPS = {
         ),
         "evaluate": (
             "job.evaluate",
-            "score a file on the test views of a scene",
-            (FILE, SCENE, DOWNSCALE, JSON, output("folder for the comparison's picture and table")),
+            "measure a file on the test views of a scene",
+            (FILE, SCENE, DOWNSCALE, JSON, output("folder for comparison.png and comparison.csv")),
         ),
     },
     "Files, for those who draw a scene or look into a file": {
@@ -227,12 +229,12 @@ GROUPS = {
         ),
         "inspect": (
             "job.inspect",
-            "list the bytes of a file, section by section, beside their entropy",
+            "list the bytes of a file by section, beside their entropy",
             (FILE, JSON),
         ),
         "view": (
             "job.view",
-            "write a page that shows files in a browser, from disk",
+            "write one page that holds files and shows them in a browser",
             (
                 option("files", nargs="+", metavar="FILE", help="a .p4dgs file"),
                 output("page to write (default beside the first FILE)"),
@@ -240,7 +242,7 @@ GROUPS = {
         ),
         "presets": (
             "job.presets",
-            "what each preset changes, beside the paper's values",
+            "print what each preset changes, beside the paper's values",
             (option("preset", nargs="?", help="show all fields of this one only"),),
         ),
     },
@@ -252,18 +254,22 @@ GROUPS = {
             "lab.accuracy",
             "what accuracy costs in time: renderers, precision, Eq. (11), noise, iterations",
             (
-                switch("--train", "train anew for the panel of iterations, instead of its record"),
+                switch("--train", "make the trainings of the panel `iterations` again"),
                 YES,
-                output("folder of accuracy.png and accuracy.csv (report)", default="report"),
+                output(
+                    "folder for accuracy.png and accuracy.csv (default report)", default="report"
+                ),
             ),
         ),
         "stability": (
             "lab.hard_cases",
-            "hard cases: the literal formula, ours, the true value; and a map of errors",
+            "hard cases: result of the printed formula, ours, true value; and a map of errors",
             (
                 JSON,
-                option("--only", metavar="ID", help="this case, or a group of cases, like H-R1"),
-                output("folder of the map (report)", default="report"),
+                option(
+                    "--only", metavar="ID", help="only this case or group of cases, such as H-R1"
+                ),
+                output("folder for the map, stability.png (default report)", default="report"),
             ),
         ),
         "effects": (
@@ -273,29 +279,29 @@ GROUPS = {
                 SCENE,
                 DOWNSCALE,
                 JSON,
-                switch("--gain", "also train with and without each effect: what it gains"),
-                switch("--suggest", "only say which effects the pictures call for, and why"),
+                switch("--gain", "also measure the gain of each effect by trainings"),
+                switch("--suggest", "only print which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 YES,
-                output("folder of effects.png (report)", default="report"),
+                output("folder for effects.png (default report)", default="report"),
             ),
         ),
     },
     "Teach, for teachers and their students": {
         "classroom": (
             "lab.classroom",
-            "write the equations with bodies removed for students, and the key",
+            "write the equations with their bodies removed for students, and the key",
             (
                 option(
                     "folder",
-                    help="folder to write to; an existing classroom keeps what students wrote",
+                    help="folder to write to; an existing classroom keeps the files of students",
                 ),
                 several("--only", "KEY", "only this equation; may be repeated"),
             ),
         ),
         "grade": (
             "lab.grade",
-            "points by student and equation, on inputs that the students have not seen",
+            "give points by student and equation, on inputs that the students have not seen",
             (
                 option(
                     "folders",
@@ -307,13 +313,13 @@ GROUPS = {
                 option(
                     "--classroom",
                     metavar="DIR",
-                    help="the classroom whose equations are asked for (the first DIR)",
+                    help="classroom whose equations are graded (default: the first DIR)",
                 ),
                 option(
                     "--seed",
                     type=bounded(int, 0),
                     metavar="N",
-                    help="of the inputs; students must not know it (drawn and printed)",
+                    help="seed of the inputs, which students must not know (default: drawn)",
                 ),
                 output("folder for grades.txt and grades.csv"),
             ),
@@ -324,7 +330,7 @@ GROUPS = {
 
 def in_groups():
     """The commands under the headings of their groups, for the top-level help."""
-    lines = ["P-4DGS in NumPy: fit, compress, decode and render tiny moving scenes."]
+    lines = ["P-4DGS in NumPy: train on tiny moving scenes; compress, decode and render them."]
     for heading, commands in GROUPS.items():
         lines += ["", f"{heading}:"]
         lines += [f"  {name:<11} {help}" for name, (_, help, _) in commands.items()]
@@ -332,7 +338,7 @@ def in_groups():
 
 
 def add_commands(parent, kind, table, **shown):
-    """Divide a parser into the commands of a table, a command perhaps into those of its own."""
+    """Give a parser the commands of a table; a command may have commands of its own."""
     named = {"dest": kind, "metavar": kind.upper(), "prog": parent.prog}
     commands = parent.add_subparsers(required=True, **named, **shown)
     for name, (function, help, arguments) in table.items():

@@ -70,13 +70,8 @@ def setting(value):
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def presets(shown, every_field):
-    """Presets beside the paper's two, each as `preset` shows it."""
-    return "\n".join(line for one in shown for line in preset(one, every_field))
-
-
 def preset(one, every_field):
-    """The lines of a preset: all fields, or those that differ, with a star.
+    """A preset beside the paper's two: all fields, or those that differ, with a star.
 
     The last column says where the values of the paper's presets come from.
     """
@@ -89,7 +84,5 @@ def preset(one, every_field):
             mark = "* " if field in changed else "  "
             rows.append([mark + field, *values, SOURCES[field]])
     widths = [max(map(len, column)) for column in zip(*rows)]
-    return [
-        f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}",
-        *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
-    ]
+    title = f"{one.name}: {len(changed)} fields (*) differ from {PAPER_SYNTHETIC.name}"
+    return "\n".join([title, *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)])

@@ -1,4 +1,4 @@
-"""Independent calls in several processes, which end with their parent. Never for times."""
+"""Independent calls in several processes, which end with their parent; not for measuring times."""
 
 import multiprocessing
 import os
@@ -13,9 +13,9 @@ from ..signals import SIGNALS, deferred
 
 
 def begin():
-    """What a worker does first. It has inherited the kernels and the number of BLAS threads."""
+    """Set up a worker, which has inherited the kernels and the number of BLAS threads."""
     keep_pages()
-    # Those that reach all processes of a terminal; the parent stops its workers by SIGTERM.
+    # Ignore the signals that reach all processes of a terminal: the parent sends SIGTERM instead.
     for number in SIGNALS - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=end_with_parent, daemon=True).start()
@@ -56,8 +56,7 @@ def in_processes(function, tasks, jobs):
     spawn = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, spawn, initializer=begin)
     try:
-        # A process that has not read what it is to do when its parent is interrupted ends with a
-        # traceback.
+        # A process whose parent is interrupted before it has read its task ends with a traceback.
         with deferred():
             futures = [pool.submit(recorded, function, task) for task in tasks]
         for future in futures:

@@ -1,10 +1,10 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
-What an effect looks at, the time of a view or the place of its camera, tells something about the
-picture only where the effect plays a part. Training begins with these values shuffled among the
-views. After half of the iterations it goes on twice, once with these and once with the true
-values. Both see the views in the same order, so without the effect neither has an advantage. They
-are compared on views that were kept back from both. Occlusion is trained with and without it.
+An effect reads the time of a view or the place of its camera. These values say something about the
+picture only where the effect plays a part. Training begins with the values shuffled among the
+views. After half of the iterations it continues twice, once with the shuffled and once with the
+true values. Both see the views in the same order, so without the effect neither has an advantage.
+They are compared on views that were kept back from both. Occlusion is trained with and without it.
 
 An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
 model with an effect too few is wrong.

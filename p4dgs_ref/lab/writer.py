@@ -1,4 +1,4 @@
-"""What studies make of rows: groups, and tables as text."""
+"""Tables of studies: rows read from CSV, grouped, and printed as text."""
 
 import csv
 

@@ -24,8 +24,8 @@ asked for these alone, and no other subject is required of it. The report says b
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed, with all that it started.
-Processes and their groups are those of POSIX.
+is closed, and a port that still runs a second later is killed with all processes that it started.
+The process groups are those of POSIX, so this does not run on Windows.
 """
 
 import base64
@@ -44,7 +44,7 @@ import numpy as np
 
 from ..limits import cut
 from .compare import cast
-from .ports import ROLES, PortError, refuse_other_types, refuse_unasked
+from .ports import ROLES, PortError, refuse_not_judged, refuse_other_types
 from .published import subjects
 from .safetensors import TensorError, array_of, json_object, record_of
 
@@ -80,9 +80,9 @@ class Adapter(contextlib.AbstractContextManager):
     def run(self, case):
         """Return the outputs and gradients of one case: {"out.x": array, "in_bar.x_a": array}.
 
-        Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and unasked.
+        Raises PortError of the kinds died, hung, nonsense, error, skipped, absent and not_judged.
         """
-        refuse_unasked(case, self.dtype)
+        refuse_not_judged(case, self.dtype)
         request = {
             "id": case.id,
             "subject": case.subject,
@@ -118,7 +118,7 @@ class Adapter(contextlib.AbstractContextManager):
         self.close()
 
     def close(self, grace=1.0):
-        """End the process, if one runs, and all that it started; return the end of its stderr."""
+        """End the process, if it runs, and all that it started; return the end of its stderr."""
         child, self.child = self.child, None
         return child.end(grace) if child else ""
 

@@ -17,7 +17,7 @@ class Report(NamedTuple):
 
     results: list
     says: dict = {}  # the first line of a port that runs as a process
-    dtype: str | None = None  # in which that port was asked; otherwise each tensor has its own
+    dtype: str | None = None  # in which that port was asked; None: each tensor has its own
     strict: bool = False
 
     @property
@@ -57,9 +57,9 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     `key` may be the id of a single case. `forward(**inputs)` returns the outputs: a dictionary, a
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
-    which the inputs are given. `strict` fails what is acceptable because the printed formula is no
-    better. Raises KeyError where `key` is no subject and no case, and ValueError where `dtype` is
-    neither float64 nor float32.
+    which the inputs are given. With `strict`, answers fail that are acceptable only because the
+    printed formula is no better. Raises KeyError where `key` is no subject and no case, and
+    ValueError where `dtype` is neither float64 nor float32.
     """
     port = FunctionPort(forward, vjp, dtype)
     return Report(check_subject(published.cases(key), port, strict), {}, port.dtype.name, strict)
@@ -68,8 +68,8 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
 def check_port(port, levels=(), only=(), progress=lambda text: None, strict=False):
     """Return a Report on a port, in the order in which data flows.
 
-    `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; empty, all.
-    `strict` is that of `check`.
+    `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; if they are
+    empty, all cases run. `strict` is that of `check`.
     """
     only, results = {only} if isinstance(only, str) else set(only), []
     for level in (level for level in LEVELS if not levels or level in levels):
@@ -99,12 +99,12 @@ def _chosen(rows, names, only):
 def check_subject(cases, port, strict=False):
     """Return the results of one subject's cases. Wrong answers are explained by the doctor.
 
-    A port may leave out a subject of a group, but not some of its cases. Where it has a field
-    `asked`, only its tensors of these roles are judged.
+    A port may leave out a whole subject of a group, but not single cases of it. If the port has a
+    field `asked`, only the tensors of these roles are judged.
     """
     judged = [judge(case, port, strict) for case in cases]
     results = [result for result, _ in judged]
-    if cases[0].group and all(r.verdict in ("skipped", "missing", "unasked") for r in results):
+    if cases[0].group and all(r.verdict in ("skipped", "missing", "not_judged") for r in results):
         return [r._replace(required=False) for r in results]
     if not any(r.findings and not r.recipe for r in results):
         return results
@@ -129,7 +129,8 @@ def judge(case, port, strict=False):
             case.equation,
             case.level,
             verdict=error.kind,
-            required=case.record["result"] == "valid" and error.kind not in ("unasked", "absent"),
+            required=case.record["result"] == "valid"
+            and error.kind not in ("not_judged", "absent"),
             explanation=str(error),
             group=case.group,
         ), None
@@ -139,11 +140,13 @@ def judge(case, port, strict=False):
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}."""
     got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}
-    is_valid, unasked = case.record["result"] == "valid", case.unasked(precision(got))
+    is_valid, not_judged = case.record["result"] == "valid", case.not_judged(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.
     some = case.group == "inside" and expected(case.tensors).keys() & got.keys()
-    names = [n for n in some or expected(case.tensors) if n.startswith(roles) and n not in unasked]
-    got = {name: a for name, a in got.items() if name not in unasked}
+    names = [
+        n for n in some or expected(case.tensors) if n.startswith(roles) and n not in not_judged
+    ]
+    got = {name: a for name, a in got.items() if name not in not_judged}
     findings = findings_of(case, got, names) if names else []
     printed, mine = as_printed(case, got)
     mistaken = [
@@ -151,14 +154,14 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         for finding in findings and findings_of(printed, mine, names)
         if not is_defensible(case, got, finding)
     ]
-    # Where a wrong answer would be as near, it means nothing to be as near as the printed formula.
-    wide = printed.unasked(precision(got)) if findings and not strict else []
+    # Where a wrong answer would be as near as the printed formula, being as near proves nothing.
+    wide = printed.not_judged(precision(got)) if findings and not strict else []
     vague = {f.tensor for f in findings if f.tensor in wide} - {f.tensor for f in mistaken}
     findings = [f for f in findings if f.tensor not in vague]
     names = [name for name in names if name not in vague]
     verdict = "fail" if mistaken or is_valid and strict else "acceptable"
     if not findings:
-        verdict = "pass" if names else "unasked"
+        verdict = "pass" if names else "not_judged"
     return Result(
         case.id,
         case.equation,
@@ -166,7 +169,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
         verdict,
         required=bool(names) and (is_valid or verdict == "fail"),
         findings=tuple(mistaken or findings),
-        unasked=(*unasked, *sorted(vague)),
+        not_judged=(*not_judged, *sorted(vague)),
         recipe=RECIPES[case.subject] if is_valid and (findings or vague) and not mistaken else "",
         group=case.group,
     )
@@ -193,18 +196,18 @@ def findings_of(case, got, names):
 def evidence(case, got, result):
     """Return what the doctor is shown of a case, with the scales of the printed formula.
 
-    Tensors that are merely as near as the printed formula comes say nothing about a mistake.
+    Tensors that are off, but no further than the printed formula, say nothing about a mistake.
     """
     wrong = [finding.tensor for finding in result.findings]
     near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
-    shown = {n: a for n, a in got.items() if n not in near and n not in result.unasked}
+    shown = {n: a for n, a in got.items() if n not in near and n not in result.not_judged}
     return as_printed(case, got)[0], shown, wrong
 
 
 def explained(result, diagnoses):
     """Return a result with what the diagnoses say of its case: an explanation or a hint.
 
-    A known mistake also says what is to blame.
+    A known mistake also names the equation to blame.
     """
     rows = [row for row in diagnoses if result.id in row.cases]
     is_certain = bool(rows) and rows[0].certain
@@ -214,9 +217,9 @@ def explained(result, diagnoses):
 
 
 def _shared(results):
-    """Reuse an equation's explanation for failures of its other subjects without a diagnosis.
+    """Give failures without a diagnosis the explanation of another subject of the same equation.
 
-    Where the doctor was silent about a case of the same subject, that case contradicts it.
+    A case of the explained subject itself gets none: without a diagnosis it contradicts this one.
     """
     known = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
     shared = []

@@ -3,20 +3,19 @@
 A float is right within c eps S, where S is stored beside it in the vectors and c is the case's
 tolerance `eps_S` for the port's precision; `tolerance.py` says how both were measured.
 
-A few cases ask for more than the paper's formulas give as they are printed and differentiated by
-the textbook: tanh has the slope 1 - tanh(y)**2, which cancels where tanh is close to 1, and the
-square of a long vector overflows. A port on stock automatic differentiation has the right formula
-and misses these cases. So does a right port in float32 alone where this project computes in float64
-inside. By how much was measured on the printed formulas with every intermediate result rounded, and
-the file PRINTED holds:
+A few cases ask for more digits than the paper's formulas have when they are computed as printed and
+differentiated by the textbook: the slope of tanh, 1 - tanh(y)**2, cancels where tanh is close to 1,
+and the square of a long vector overflows. A port that uses automatic differentiation has the right
+formula and misses these cases. So does a right port in float32 throughout where this project
+computes in float64 inside. How far such ports are off was measured with the printed formulas, every
+intermediate result rounded. The file PRINTED holds:
 
     <precision>/<subject>/<case>/scale.out.x    the scale S of the printed formula
-    <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: there 0
-                                                or an infinity is what it leaves in an output, and
-                                                NaN too in a gradient
-    <precision>/<subject>/<case>/other.out.x    all tensors where it culls the only Gaussian
+    <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: outputs
+                                                are 0 or infinite there, gradients also NaN
+    <precision>/<subject>/<case>/other.out.x    all tensors if it culls the only Gaussian
 
-Where S is so wide that a wrong tensor is as near as the printed formula, or where the formula
+Where S is so wide that a wrong tensor would be as near as the printed formula, or where the formula
 leaves the range, no answer is acceptable: the tensor is not judged, and the report names it.
 """
 
@@ -57,15 +56,15 @@ class Result(NamedTuple):
     equation: str
     level: str
     # pass; fail; acceptable (the printed formula is no better here or, where the case says so,
-    # another answer is defensible); unasked (none of the case's tensors is judged); or the kind of
-    # a PortError
+    # another answer is defensible); not_judged (none of the case's tensors is judged); or the kind
+    # of a PortError
     verdict: str
     required: bool
     findings: tuple = ()  # of Finding
     explanation: str = ""
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
-    unasked: tuple = ()  # names of tensors that are not judged, because wrong ones would pass too
-    recipe: str = ""  # of the digits that an answer lacks which is as near as the printed formula
+    not_judged: tuple = ()  # names of tensors of which wrong ones would pass too
+    recipe: str = ""  # keeps the digits that this answer and the printed formula lack
     group: str = ""  # of subjects that a port may leave out
 
     @property
@@ -75,7 +74,7 @@ class Result(NamedTuple):
 
     @property
     def wrong(self):
-        return self.required and self.verdict not in ("pass", "acceptable", "unasked")
+        return self.required and self.verdict not in ("pass", "acceptable", "not_judged")
 
 
 def change_floats(values, change):
@@ -120,9 +119,9 @@ def precision(got):
 def too_wide(tensors, tolerance, precision):
     """Return the names of the tensors of a case that its tolerance cannot judge in a precision.
 
-    They would pass although every number were off by 1e-3 of itself, zero or negated. In float32
-    some results cancel this far. Where a scale is infinite any number passes. A tensor of zeros is
-    judged: the right answer is zero. Without a tolerance, no tensor is.
+    They would pass even if every number were off by 1e-3 of itself, zero or negated. In float32
+    some results cancel this far. Where a scale is infinite any number passes. A tensor of zeros can
+    be judged: the right answer is zero. Without a tolerance, no tensor can.
     """
 
     def passes(name, wrong):
@@ -150,7 +149,7 @@ def compare(tensors, got, tolerance):
 
 
 def differences(want, got, tensors=None, tolerance=None):
-    """Return a Finding for every array that is missing or wrong in `got`, then of those too many.
+    """Return a Finding for every array that is missing or wrong in `got`, then for unexpected ones.
 
     Without a tolerance, all bits of a float must agree.
     """
@@ -298,8 +297,8 @@ def measured():
 def as_printed(case, got):
     """Return a case with the scales of the printed formula, and an answer in its range.
 
-    Where the formula leaves the range, what it leaves there is replaced by the expected numbers,
-    and its scale is infinite; anything else is judged.
+    Where the formula leaves the range, an answer of 0, infinity or NaN is replaced by the expected
+    number, with an infinite scale; any other answer there is judged.
     """
     mine, precise = dict(got), precision(got)
     stored = measured().get((case.id, precise), {})

@@ -5,7 +5,7 @@ of behaviour and computes what a port with that mistake answers to the published
 `mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
 safetensors file a subject holds every tensor that a mistake gets wrong, as
 `<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
-Of a mistake's `noisy` cases, in which it answers with rounding noise, nothing is stored, and any
+For a mistake's `noisy` cases, in which its answers are rounding noise, nothing is stored and any
 answer agrees.
 
 A mistake explains wrong answers if it agrees with all of them and shows in no tensor that the port

@@ -20,7 +20,7 @@ class PortError(Exception):
     """A port gave no answer to a case. The message is one line.
 
     `kind` is missing, damaged, died, hung, nonsense, error, skipped, absent (of a subject that the
-    port says it lacks) or unasked.
+    port says it lacks) or not_judged.
     """
 
     def __init__(self, kind, message):
@@ -64,9 +64,9 @@ class FolderPort:
         tensors = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         if not tensors:
             answers = {name.partition("/")[2]: a for name, a in arrays.items()}
-            asked = expected(case.tensors).keys() - case.unasked(precision(answers))
+            asked = expected(case.tensors).keys() - case.not_judged(precision(answers))
             raise PortError(
-                "missing" if asked else "unasked", f"{file}: no tensor named {case.name}/..."
+                "missing" if asked else "not_judged", f"{file}: no tensor named {case.name}/..."
             )
         return tensors
 
@@ -123,7 +123,7 @@ class FunctionPort:
 
     def run(self, case):
         """Call the function with the inputs of a case. Raises PortError."""
-        refuse_unasked(case, self.dtype)
+        refuse_not_judged(case, self.dtype)
         given = inputs, cotangents = self.given(case)
         try:
             got = _arrays(_named(self.forward(**inputs), case), "out.", case)
@@ -138,10 +138,10 @@ class FunctionPort:
         return got
 
 
-def refuse_unasked(case, dtype):
-    """Raise PortError, kind unasked, where a case is not judged in a precision."""
+def refuse_not_judged(case, dtype):
+    """Raise PortError, kind not_judged, where a case is not judged in a precision."""
     if case.tolerance(dtype.name) is None:
-        raise PortError("unasked", case.record["tolerance"][f"{dtype.name}_reason"])
+        raise PortError("not_judged", case.record["tolerance"][f"{dtype.name}_reason"])
 
 
 def refuse_other_types(case, got, dtype):

@@ -15,8 +15,6 @@ import numpy as np
 from . import safetensors
 from .compare import too_wide
 
-# The vectors of version 1.0. Their manifest says "v1.2", and some cases and streams have the field
-# `since`: these numbers count drafts from before the release. The bytes of published files stay.
 FOLDER = Path(__file__).with_name("v1")
 LEVELS = {
     "L0": "scalars",
@@ -59,7 +57,7 @@ class Golden(NamedTuple):
         """Return the record {eps_S, reason} of a precision, or None if the case has none."""
         return self.record["tolerance"][precision]
 
-    def unasked(self, precision):
+    def not_judged(self, precision):
         """Return the names of the outputs and gradients that are not checked in a precision."""
         return too_wide(self.tensors, self.tolerance(precision), precision)
 
@@ -96,7 +94,7 @@ def names(of=""):
 
 
 def meant(name, known):
-    """Return what an unknown name may have been: the nearest of the known ones, then all."""
+    """Return the end of a message about an unknown name: the nearest known one, then all."""
     nearest = get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}? " if nearest else ""
     return f"{hint}expected one of {', '.join(known)}"

@@ -20,7 +20,7 @@ def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
     return "\n".join(
         line
-        for section in (scores, lacking, left_out, unasked, acceptable, divergence)
+        for section in (scores, lacking, left_out, not_judged, acceptable, divergence)
         for line in section(report)
     )
 
@@ -51,11 +51,12 @@ def left_out(report):
     return [f"{name}: {count} cases left out, which is allowed" for name, count in left.items()]
 
 
-def unasked(report):
+def not_judged(report):
     """Yield a line with the cases and tensors of which no bound tells wrong answers."""
-    results = [r for r in report.results if r.unasked or r.verdict == "unasked"]
+    results = [r for r in report.results if r.not_judged or r.verdict == "not_judged"]
     names = [
-        r.id if r.verdict == "unasked" else f"{r.id} ({', '.join(r.unasked)})" for r in results
+        r.id if r.verdict == "not_judged" else f"{r.id} ({', '.join(r.not_judged)})"
+        for r in results
     ]
     if names:
         yield f"not judged, because a wrong answer would pass too: {', '.join(names)}"
@@ -142,7 +143,7 @@ def as_json(report):
             "explanation": r.explanation or None,
             "hint": r.hint or None,
             "recipe": r.recipe or None,
-            "unasked": list(r.unasked),
+            "not_judged": list(r.not_judged),
         }
         for r in report.results
     ]

@@ -141,8 +141,8 @@ def write_comparison(folder, scene, rows, images, count=4):
     )
 
 
-def held_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
-    """The camera that looks at the middle of a model's box; angles in degrees."""
+def fixed_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
+    """The camera that looks at the middle of the box of a model's anchors; angles in degrees."""
     azimuth, elevation = np.radians([azimuth, elevation])
     middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
     outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
@@ -158,7 +158,7 @@ def gif_of(images):
 
 
 def write_motion(path, model, camera, frames=24):
-    """A GIF of the model over t, seen by one camera at rest; small pictures are enlarged."""
+    """A GIF of the model over time, seen by a fixed camera; small pictures are enlarged."""
     zoom = max(1, min(4, 256 // camera.width))
     images = [
         np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)

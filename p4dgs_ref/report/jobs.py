@@ -1,4 +1,4 @@
-"""The main job: fit a scene, compress it to a file, decode that file, render, measure, draw."""
+"""The main job: train on a scene, compress to a file, decode it, render, measure, draw."""
 
 import json
 import time
@@ -17,7 +17,7 @@ from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import compression, evaluate, json_safe, timed
 
-OVERFITTED = 6  # dB by which training views may be better than test views without a warning
+OVERFITTED = 6  # dB; training views that are better than test views by more get a warning
 
 
 def main_job(

@@ -9,10 +9,11 @@ in OpenGL. Ours count from the centre of the first pixel and look along +z with 
 (Q20). Therefore c_x = cx/s - 1/2 after downscaling by s, and the second and third column of every
 camera-to-world matrix change their sign.
 
-A field of a file is used, which LENS, FRAME and `frames` list, or `off`, or named in a warning. A
-frame may have a lens of its own. Focal lengths and the principal point are pixels of an image of
-w x h; where the pictures have another size, they are scaled. Distortion by k1, k2, p1 and p2 is
-removed from the pictures, by the formula in `hypernerf`; other lenses are refused.
+The fields that are used are those of HEAD and FRAME, and `time`. Other fields get a warning, unless
+their value changes nothing (`off`). A frame may have a lens of its own. Focal lengths and the
+principal point are pixels of an image of w x h; where the pictures have another size, they are
+scaled. Distortion by k1, k2, p1 and p2 is removed from the pictures, by the formula in `hypernerf`;
+other lenses are refused.
 """
 
 import math

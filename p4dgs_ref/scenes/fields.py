@@ -22,7 +22,7 @@ KINDS = {int: Integral, float: Real}
 
 
 class Missing:
-    """The default of a field that must be there; a message shows it as what was found."""
+    """The default of a field that must be there; messages show it as `missing`."""
 
     def __repr__(self):
         return "missing"

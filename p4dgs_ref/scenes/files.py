@@ -43,7 +43,7 @@ MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pil
 
 
 def read_json(file, expected=FOLDERS):
-    """The JSON object in a file; `expected` says what it should be."""
+    """The JSON object in a file; `expected` says in messages what the file should be."""
     with reading(file, f"JSON in UTF-8, {expected}", most=MAX_JSON_BYTES):
         data = json.loads(file.read_text(encoding="utf-8-sig"))
     require(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
@@ -66,8 +66,8 @@ def read_image(folder, name, where):
         f"{name!r} is outside; expected a picture in the folder {folder}",
     )
     place = f"{where}: {file}"
-    with reading(file, f"a picture of {PIXELS}", where):
-        # Of a path it would read its ~ or .zip.
+    with reading(file, f"a .png or .jpg, a picture of {PIXELS}", where):
+        # Given a path, imageio would expand its ~ and read inside its .zip.
         with iio.imopen(file.read_bytes(), "r", plugin=PillowPlugin) as opened:
             shape = opened.properties().shape
             require(
@@ -112,8 +112,9 @@ def make_view(name, image, lens, R, T, time, color, downscale, where):
     """
     if premultiplied(image):
         warn_once(
-            "in the partly transparent pixels of a picture no colour exceeds alpha, as if it were "
-            "multiplied by it; expected straight alpha"
+            str(where).partition(": ")[0],
+            "in the partly transparent pixels of a picture no colour exceeds alpha, as if colours "
+            "were multiplied by alpha; expected straight alpha",
         )
     # over the colour first: where pixels are mixed, every colour is weighted by its alpha
     pixels, alpha = (
@@ -127,9 +128,9 @@ def make_view(name, image, lens, R, T, time, color, downscale, where):
 
 
 @cache
-def warn_once(text):
-    """Warn, but not again for every picture."""
-    warnings.warn(text)
+def warn_once(file, text):
+    """Warn once of the pictures that a file lists, not again for each of them."""
+    warnings.warn(f"{file}: {text}")
 
 
 def premultiplied(image):
@@ -187,11 +188,13 @@ def reading(file, expected, where=None, most=MAX_FILE_BYTES):
 
 def read_points(path: str | Path) -> np.ndarray:
     """The points [A, 3] of a file as float64; SceneError where it holds something else."""
-    path, expected = Path(path), "points in a .npy or a binary .ply"
+    path = Path(path)
     require(path.suffix in READERS, path, f"expected a name that ends in {', '.join(READERS)}")
-    if os.path.isfile(text := path.with_name("points3D.txt")):
-        expected += f", such as x, y and z of {text}"
-    with reading(path, expected):
+    with reading(
+        path,
+        "points in a .npy or a binary .ply, such as COLMAP writes with `model_converter "
+        "--output_type PLY`",
+    ):
         points = READERS[path.suffix](path)
         require(
             points.ndim == 2 and points.shape[1] == 3 and 0 < len(points) <= MAX_ANCHORS,

@@ -147,7 +147,7 @@ def read_camera(folder, name):
 def read_view(folder, name, lens, time, ratio, downscale, color):
     """One view from its picture in rgb/<ratio>x, whose sides are then divided by `downscale`."""
     file = f"rgb/{ratio}x/{name}"
-    where = folder / file
+    where = f"{folder}: {file}"
     image = read_image(folder, file, where)
     size = np.array(image.shape[1::-1])
     require(

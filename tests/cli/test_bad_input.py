@@ -218,8 +218,8 @@ LINES = [
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),
     ("demo --fast", ("--fast",)),
-    ("demo nowhere", ("nowhere", "bouncing")),
-    ("demo text", ("text", "folder")),
+    ("demo nowhere -o new", ("nowhere", "bouncing")),
+    ("demo text -o new", ("text", "folder")),
     ("demo good.p4dgs", ("folder",)),
     ("demo --preset huge", ("huge", "tiny")),
     ("presets huge", ("huge", "tiny")),
@@ -265,7 +265,7 @@ LINES = [
     ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("evaluate good.p4dgs scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("effects scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
-    ("demo scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
+    ("demo scene --downscale 9 -o new", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
     ("train scene -o new --downscale half", ("--downscale", "half")),
     ("demo scene -o text --preset smoke --quiet", ("text", "folder that can be written")),
@@ -354,7 +354,7 @@ LINES = [
     ("effects static --suggest --apply", ("packaged",)),
     ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
     ("train scene -o run --preset smoke", ("run/checkpoint.npz: exists", "--resume")),
-    ("demo scene -o report --preset smoke", ("report/scene.p4dgs: exists", "another")),
+    ("demo scene -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("demo bouncing -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
     ("accuracy --train", ("--yes",)),
@@ -489,10 +489,12 @@ def test_learning_rate_that_explodes(place, run, monkeypatch):
 
 
 def test_a_folder_of_another_training_is_refused_before_any_work(place, run, monkeypatch):
-    """Not only after the training was estimated, which takes a step of it."""
-    monkeypatch.setattr("p4dgs_ref.cli.job.estimate", None)
+    """Not only after the scene was read and the training estimated."""
+    monkeypatch.setattr("p4dgs_ref.cli.job.load", None)
     code, _, err = run("train scene -o run --preset smoke")
     assert code == 2 and "run/checkpoint.npz: exists; --resume" in err and err.count("\n") == 1
+    code, _, err = run("demo scene -o report --preset smoke")
+    assert code == 2 and "report/metrics.json: exists; delete it" in err and err.count("\n") == 1
 
 
 def test_effects_are_suggested_where_none_are_listed_and_a_training_begins(place, capsys):

@@ -219,7 +219,7 @@ def test_help_has_five_groups_and_fits_a_screen(monkeypatch):
         printing |= {name for line in help if line.startswith("  --json ")}
     assert printing == {*DATA.split(), "oracle check"}
     help = " ".join(subcommands(parser)["render"].format_help().split())
-    camera = figures.held_camera(SimpleNamespace(box=np.zeros((2, 3))), size=100)
+    camera = figures.fixed_camera(SimpleNamespace(box=np.zeros((2, 3))), size=100)
     angle = np.degrees(2 * np.arctan(50 / camera.f_x))
     assert f"with a field of view of {angle:.3g} degrees" in help
 

@@ -54,11 +54,11 @@ def equal(a, b):
 def unnoticed(key, precision):
     """Yield the rows of a subject, without reasons."""
     for case in published.cases(key):
-        unasked = case.unasked(precision)
+        not_judged = case.not_judged(precision)
         with np.errstate(over="ignore"):
             right = cast(expected(case.tensors), precision)
         for name, a in right.items():
-            if name in unasked or not a.size:
+            if name in not_judged or not a.size:
                 continue
             # Alone, to save time; what the printed formula leaves depends on other tensors.
             names = right if (case.id, precision) in measured() else [name]
@@ -67,7 +67,7 @@ def unnoticed(key, precision):
                 answer = {n: right[n] for n in names} | {name: wrong.astype(a.dtype)}
                 result = checker.judge_answer(case._replace(tensors=kept), answer)
                 if result.verdict != "fail" and not equal(wrong.astype(a.dtype), a):
-                    verdict = "not judged" if name in result.unasked else result.verdict
+                    verdict = "not judged" if name in result.not_judged else result.verdict
                     yield precision, case.id, name, change, verdict
 
 

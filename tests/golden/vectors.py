@@ -1,14 +1,13 @@
 """Makes the vectors: every case of every subject with inputs, outputs, cotangents and gradients.
 
-`python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors.
-The tensors of all others stay as they are; their tolerances are measured anew, and may grow.
-`--again KEY` computes the published cases of a subject anew too, which is allowed until its version
-has been released. `python -m tests.golden.vectors DIR` computes all cases again into a folder and
-puts the codec's streams beside them, as `p4dgs-ref oracle export DIR` does with the published ones.
+`python -m tests.golden.vectors` adds the cases that are not published yet to the published vectors,
+which stay as they are. `--again KEY` computes the published cases of a subject anew, which is
+allowed until their version has been released. `python -m tests.golden.vectors DIR` computes all
+cases again into a folder and puts the codec's streams beside them, as `p4dgs-ref oracle export DIR`
+does with the published ones.
 """
 
 import argparse
-import csv
 import hashlib
 import json
 import shutil
@@ -20,18 +19,16 @@ import scipy
 
 from p4dgs_ref import EQUATIONS, __version__
 from p4dgs_ref.oracle import published, safetensors, streams, tolerance
-from p4dgs_ref.oracle.compare import cast, expected
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.output import staged_folder
 from tests.golden import independent, measured
 from tests.golden.cases import FLAGS
 from tests.golden.subjects import lacking, subjects
 
-# What the manifest calls its drafts: the first one, and the one in which new cases are listed.
-FIRST, LATEST = "1.0", "1.2"
+FIRST, NEXT = "1.0", "1.1"  # the versions of the vectors: the first, and that of new cases
 # Everything else in the folder of the vectors is made here. The manifest has the hashes of all.
 WRITTEN = ("README.md", "LICENSE", "example_adapter.py", "model.p4dgs")
-IDS = Path(__file__).parent / "data" / "oracle_ids.csv"  # every case, its hash, since when
 # Cases in which another answer is defensible, and which answers are: they may lie `within` a
 # distance of `times` what is expected. A port may leave out such a case.
 ACCEPTABLE = {
@@ -91,18 +88,6 @@ def vector(subject, case):
     return record, {name: np.ascontiguousarray(a).reshape(a.shape) for name, a in tensors.items()}
 
 
-def renewed(subject, case):
-    """Return the record of a published case with its result as declared here.
-
-    Its tolerance is measured anew where right evaluations use up more than half of it.
-    """
-    error = measured.largest_error(subject, case.inputs(), case.cotangents(), case.tensors)
-    record = {**case.record, **result_of(case.id)}
-    if measured.LARGEST >= error > record["tolerance"]["float64"]["eps_S"] / 2:
-        record["tolerance"] = measured.tolerances(error, expected(case.tensors))
-    return record
-
-
 def steady(subject, case):
     """Return `subject.answer` in which the inputs `subject.steady` are always those of the case."""
     kept = {name: case.inputs[name] for name in subject.steady}
@@ -119,10 +104,11 @@ def narrowed(tensors):
 
 
 @cache
-def joined():
-    """Return {id of a published case: the version of the vectors that it joined}."""
-    rows = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
-    return {row["id"]: row["since"] for row in rows}
+def published_records():
+    """Return {id: record in the manifest} of all published cases and streams."""
+    manifest = read_manifest()
+    rows = [case for subject in manifest["subjects"] for case in subject["cases"]]
+    return {row["id"]: row for row in rows + manifest["streams"]}
 
 
 def result_of(id):
@@ -131,8 +117,8 @@ def result_of(id):
 
 
 def joining(id):
-    """Return the field of a record that says since when it is there; none for version 1.0."""
-    since = joined().get(id, LATEST)
+    """Return the field of a record that says since when it is there; none for the first version."""
+    since = published_records().get(id, {"since": NEXT}).get("since", FIRST)
     return {} if since == FIRST else {"since": since}
 
 
@@ -152,16 +138,15 @@ def says(case):
     return f"{case.name.replace('_', ' ')}; hunts {hunted}"
 
 
-def subject_file(subject, kept, keep=None):
+def subject_file(subject, kept):
     """Return the bytes of a subject's file and its record for the manifest.
 
-    `kept` are published cases {name: Golden} that keep their tensors, with the records
-    `keep(subject, case)`.
+    `kept` are published cases {name: Golden} that stay as they are.
     """
     records, tensors = [], {}
     for case in subject.cases():
         if case.name in kept:
-            record, arrays = keep(subject, kept[case.name]), kept[case.name].tensors
+            record, arrays = kept[case.name].record, kept[case.name].tensors
         else:
             record, arrays = vector(subject, case)
         records.append({**record, "tensors": list(arrays)})
@@ -184,29 +169,28 @@ def subject_file(subject, kept, keep=None):
     return safetensors.dump(tensors, {"license": "CC0-1.0"}), row
 
 
-def build(progress=lambda text: None, keep=None, again=()):
+def build(progress=lambda text: None, again=()):
     """Return every file of vectors, {name: bytes}, and the manifest.
 
-    Raises ValueError where an equation lacks something.
-
-    With `keep`, the published cases keep their tensors, except those of the subjects `again`. Their
-    records are `keep(subject, case)`.
+    The published cases of all subjects but `again` stay as they are. Raises ValueError where an
+    equation lacks something.
     """
     for line in filter(None, map(lacking, EQUATIONS)):
         raise ValueError(line)
     files, rows = {}, []
     for subject in subjects().values():
         progress(f"vectors of {subject.key}")
-        is_known = keep and subject.key in published.subjects() and subject.key not in again
+        is_known = subject.key in published.subjects() and subject.key not in again
         kept = {case.name: case for case in published.cases(subject.key)} if is_known else {}
-        data, row = subject_file(subject, kept, keep)
+        data, row = subject_file(subject, kept)
         files[row["file"]] = data
         rows.append(row)
     files["FLAGS.json"] = _json(flags())
     written = {name: (FOLDER / name).read_bytes() for name in WRITTEN}
+    cases = [*stream_records(), *(case for row in rows for case in row["cases"])]
     manifest = {
         "format": 2,
-        "version": f"v{LATEST}",
+        "version": max(case.get("since", FIRST) for case in cases),
         "license": "CC0-1.0",
         "generator": {
             "p4dgs_ref": __version__,
@@ -264,9 +248,9 @@ def flags():
     return rows
 
 
-def write(folder, progress=lambda text: None, keep=None, again=()):
+def write(folder, progress=lambda text: None, again=()):
     """Write the vectors into an existing folder; return the manifest. See `build`."""
-    files, manifest = build(progress, keep, again)
+    files, manifest = build(progress, again)
     files["manifest.json"] = _json(manifest)
     for name, data in files.items():
         (Path(folder) / name).write_bytes(data)
@@ -293,44 +277,11 @@ def _sum(data):
     return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
-def digest(case):
-    """Return the hash of all tensors of a published case but the scales, which are measured."""
-    sha256 = hashlib.sha256()
-    for name, a in sorted(case.tensors.items()):
-        if not name.startswith("scale."):
-            sha256.update(name.encode() + a.tobytes())
-    return sha256.hexdigest()[:16]
-
-
-def listed():
-    """Return {id: hash} of all published cases and streams."""
-    manifest = read_manifest()
-    cases = [case for subject in manifest["subjects"] for case in published.read(subject)]
-    return {
-        **{case.id: digest(case) for case in cases},
-        **{stream["id"]: stream["sha256"][:16] for stream in manifest["streams"]},
-    }
-
-
-def write_ids(again=()):
-    """Add new cases and streams to the list of all; replace those of the subjects `again`."""
-    published_rows = csv.DictReader(IDS.read_text(encoding="utf-8").splitlines())
-    rows = [row for row in published_rows if row["id"].split("/")[0] not in again]
-    known = {row["id"] for row in rows}
-    for id, sha256 in listed().items():
-        if id not in known:
-            rows.append({"id": id, "sha256": sha256, "since": LATEST})
-    with IDS.open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, rows[0], lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
-
-
 def refuse_released(again):
-    """Raise ValueError where a subject has cases of an earlier version, which keep their bytes."""
+    """Raise ValueError where a subject has cases of a released version, which keep their bytes."""
     for key in again:
-        since = {joined()[case.id] for case in published.cases(key)}
-        if since != {LATEST}:
+        since = {joining(case.id).get("since", FIRST) for case in published.cases(key)}
+        if since != {NEXT}:
             raise ValueError(f"{key}: cases since {min(since)} keep their bytes")
 
 
@@ -339,7 +290,7 @@ def regenerate(folder, progress):
     with staged_folder(folder) as place:
         for name in WRITTEN:
             shutil.copyfile(FOLDER / name, place / name)
-        write(place, progress)
+        write(place, progress, subjects())
         shutil.copytree(streams.STREAMS, place / "streams")
 
 
@@ -352,8 +303,7 @@ def main():
         regenerate(arguments.folder, print)
         return
     refuse_released(arguments.again)
-    write(FOLDER, print, renewed, arguments.again)
-    write_ids(arguments.again)
+    write(FOLDER, print, arguments.again)
 
 
 if __name__ == "__main__":

@@ -264,8 +264,8 @@ def test_the_precision_is_said_and_a_case_may_be_alone():
         oracle.check(x_of, "offsets/ordinari")
     with pytest.raises(ValueError, match="dtype float16: expected float64 or float32"):
         oracle.check(x_of, "offsets", dtype="float16")
-    unasked = oracle.check(lambda x_a, x_c: 1 / 0, "view/far", dtype="float32").results
-    assert [r.verdict for r in unasked] == ["unasked"]
+    not_judged = oracle.check(lambda x_a, x_c: 1 / 0, "view/far", dtype="float32").results
+    assert [r.verdict for r in not_judged] == ["not_judged"]
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_precision_is_that_of_the_answers_alone(tmp_path, key, output, id):
     inputs = {n: a.astype(np.float32) for n, a in arrays.items() if "/in." in n}
     report = judge_folder(tmp_path, key, arrays | inputs)
     assert id in {r.id for r in report.results if r.wrong}
-    assert not any(r.verdict == "unasked" for r in report.results)
+    assert not any(r.verdict == "not_judged" for r in report.results)
 
 
 def test_a_float32_port_may_leave_out_what_float32_cannot(tmp_path):
@@ -288,7 +288,9 @@ def test_a_float32_port_may_leave_out_what_float32_cannot(tmp_path):
         for dtype in (np.float32, np.float64)
     )
     report = judge_folder(tmp_path, "noise", single)
-    assert report.ok and [r.verdict for r in report.results if r.id == "noise/tiny"] == ["unasked"]
+    assert report.ok and [r.verdict for r in report.results if r.id == "noise/tiny"] == [
+        "not_judged"
+    ]
     assert judge_folder(tmp_path, "noise", double).first.id == "noise/tiny"
 
 
@@ -306,7 +308,7 @@ def test_levels_and_names_may_be_repeated_in_any_order(tmp_path):
     assert [r.level for r in report.results] == sorted(r.level for r in report.results)
     assert {r.equation for r in report.results} == {"step", "noise"}
     assert len({r.id for r in report.results}) == len(report.results)
-    assert report.ok and not any(r.verdict == "unasked" for r in report.results)
+    assert report.ok and not any(r.verdict == "not_judged" for r in report.results)
 
 
 # --- commands -----------------------------------------------------------------------------------

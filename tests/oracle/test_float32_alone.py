@@ -35,8 +35,8 @@ def alone(answer):
 
     def compute(case, _):
         got = answer(case._replace(tensors=change_floats(case.tensors, single)))
-        unasked = case.unasked("float32")
-        return {n: np.full_like(a, np.nan) if n in unasked else a for n, a in got.items()}
+        not_judged = case.not_judged("float32")
+        return {n: np.full_like(a, np.nan) if n in not_judged else a for n, a in got.items()}
 
     return Port(compute, np.float32)
 
@@ -71,5 +71,5 @@ def test_what_is_not_judged_is_named():
     for named in "projection/H-G3.1e3px (out.conic, in_bar.Sigma)", ", likelihood/H-R5.width1000,":
         assert named in line
     rows = {row["id"]: row for row in as_json(Report(results))["cases"]}
-    assert rows["projection/H-G3.1e3px"]["unasked"] == ["out.conic", "in_bar.Sigma"]
+    assert rows["projection/H-G3.1e3px"]["not_judged"] == ["out.conic", "in_bar.Sigma"]
     assert not rows["likelihood/H-R5.width1e+06"]["required"]

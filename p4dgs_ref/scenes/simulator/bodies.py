@@ -45,7 +45,7 @@ def sphere_normal(shape, p):
 
 
 def box_hit(shape, o, d):
-    """A ray is inside the box where it is between the faces of all three pairs.
+    """A ray is inside the box where it is between the two faces of all three pairs.
 
     A ray that is parallel to a face meets it at an infinity of the right sign.
     """
@@ -147,7 +147,7 @@ def pulse(motion, t):
     return 1 + motion.amount * np.sin(wave(motion, t))
 
 
-# How a motion of an effect changes what those before it have made of a body.
+# How a motion changes the place, the rotation or the scale that a body has by the earlier ones.
 COMBINED = {"translation": np.add, "rotation": np.matmul, "scaling": np.multiply}
 # kind: the effect that a scene must list for the motion to happen, and its formula
 MOTIONS = {

@@ -48,7 +48,7 @@ VIEWS = {
     "target": (POINT, ORIGIN),
 }
 
-# The kinds of everything that has one, each with its fields.
+# The fields of every kind of shape, texture, motion, light and camera path.
 SHAPES = {
     "sphere": {"radius": (POSITIVE, REQUIRED)},
     # `half` is half the length of the edges
@@ -131,9 +131,10 @@ def read_description(source):
     known = {None}
     for i, body in enumerate(description.bodies):
         require(
-            body.parent in known,
-            f"{where}: bodies[{i}].parent",
-            f"{body.parent!r}; expected a body listed before",
+            body.name not in known and body.parent in known,
+            f"{where}: bodies[{i}]",
+            f"name {body.name!r}, parent {body.parent!r}; expected a name that no body before it "
+            "has, and as parent a body listed before it",
         )
         known.add(body.name)
     return description
