@@ -16,6 +16,7 @@ from . import safetensors
 from .compare import too_wide
 
 FOLDER = Path(__file__).with_name("v1")
+STREAMS = Path(__file__).with_name("streams_v1")
 LEVELS = {
     "L0": "scalars",
     "L1": "one equation",
@@ -78,10 +79,20 @@ def subjects():
     return {subject["key"]: subject for subject in read_manifest()["subjects"]}
 
 
+def read_rows():
+    """Return the manifest of the conformance streams, {"good": [...], "bad": [...]}."""
+    return json.loads((STREAMS / "manifest.json").read_text(encoding="utf-8"))
+
+
 @cache
 def stream_rows():
-    """Return the records of the conformance streams in the manifest."""
-    return read_manifest()["streams"]
+    """Return the records of all conformance streams, each with its id and result."""
+    rows = read_rows()
+    return [
+        {"id": f"codec/{row['name']}", "result": result, **row}
+        for kind, result in (("good", "valid"), ("bad", "invalid"))
+        for row in rows[kind]
+    ]
 
 
 def names(of=""):

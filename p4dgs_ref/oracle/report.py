@@ -4,7 +4,7 @@ import json
 from collections import Counter
 
 from ..version import __version__
-from .published import read_manifest, subjects
+from .published import read_manifest, stream_rows, subjects
 
 MAX_LISTED = 8  # failing cases of a subject, wrong tensors of a case
 RECIPE_HEAD = "right formula, fewer digits here; the recipe is"
@@ -174,7 +174,7 @@ def listing(manifest):
             for subject in manifest["subjects"]
             for case in subject["cases"]
         ),
-        *((row["id"], "L3", row["result"], row["says"]) for row in manifest["streams"]),
+        *((row["id"], "L3", row["result"], row["says"]) for row in stream_rows()),
     ]
     width = max(len(row[0]) for row in rows)
     return "\n".join(

@@ -10,7 +10,6 @@ The README of the vectors describes the arrays and the kinds of errors. `export`
 vectors into a folder, for ports that read files.
 """
 
-import json
 import shutil
 from pathlib import Path
 
@@ -19,9 +18,8 @@ import numpy as np
 from ..output import OutputError, staged_folder
 from .compare import Result, differences
 from .ports import PortError
-from .published import FOLDER, read_manifest
+from .published import FOLDER, STREAMS, read_rows, stream_rows, subjects
 
-STREAMS = Path(__file__).with_name("streams_v1")
 TYPES = {"u8": "u1", "u16": "<u2", "i32": "<i4", "i64": "<i8", "f32": "<f4", "f64": "<f8"}
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
 # blame if this array is the first wrong one.
@@ -41,11 +39,6 @@ BLAMED = {
     "symbols": "codec",
     "attributes": "rounding",
 }
-
-
-def read_rows():
-    """Return the manifest of the conformance streams, {"good": [...], "bad": [...]}."""
-    return json.loads((STREAMS / "manifest.json").read_text(encoding="utf-8"))
 
 
 def check(port, names=None):
@@ -102,7 +95,7 @@ def export(folder):
 
     Raises OutputError where the folder holds other things, because files could be overwritten.
     """
-    place, manifest = Path(folder), read_manifest()
+    place = Path(folder)
     with staged_folder(place) as staging:
         if any(place.glob("[!.]*")) and not (place / "manifest.json").is_file():
             raise OutputError(
@@ -111,4 +104,4 @@ def export(folder):
         for file in filter(Path.is_file, FOLDER.iterdir()):
             shutil.copyfile(file, staging / file.name)
         shutil.copytree(STREAMS, staging / "streams")
-    return sum(len(row["cases"]) for row in manifest["subjects"]) + len(manifest["streams"])
+    return sum(len(row["cases"]) for row in subjects().values()) + len(stream_rows())

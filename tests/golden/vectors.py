@@ -105,10 +105,9 @@ def narrowed(tensors):
 
 @cache
 def published_records():
-    """Return {id: record in the manifest} of all published cases and streams."""
-    manifest = read_manifest()
-    rows = [case for subject in manifest["subjects"] for case in subject["cases"]]
-    return {row["id"]: row for row in rows + manifest["streams"]}
+    """Return {id: record in the manifest} of all published cases."""
+    subjects = read_manifest()["subjects"]
+    return {case["id"]: case for subject in subjects for case in subject["cases"]}
 
 
 def result_of(id):
@@ -187,10 +186,9 @@ def build(progress=lambda text: None, again=()):
         rows.append(row)
     files["FLAGS.json"] = _json(flags())
     written = {name: (FOLDER / name).read_bytes() for name in WRITTEN}
-    cases = [*stream_records(), *(case for row in rows for case in row["cases"])]
     manifest = {
         "format": 2,
-        "version": max(case.get("since", FIRST) for case in cases),
+        "version": max(case.get("since", FIRST) for row in rows for case in row["cases"]),
         "license": "CC0-1.0",
         "generator": {
             "p4dgs_ref": __version__,
@@ -199,35 +197,8 @@ def build(progress=lambda text: None, again=()):
         },
         "files": {name: _sum(data) for name, data in {**files, **written}.items()},
         "subjects": rows,
-        "streams": stream_records(),
     }
     return files, manifest
-
-
-def stream_records():
-    """Return the conformance streams as the manifest lists them."""
-
-    def record(row, result):
-        id = f"codec/{row['name']}"
-        return {
-            "id": id,
-            "name": row["name"],
-            "says": row["says"],
-            "result": result,
-            **joining(id),
-            "file": f"streams/{row['file']}",
-            "bytes": row["bytes"],
-            "sha256": row["sha256"],
-        }
-
-    rows, records = streams.read_rows(), []
-    for row in rows["good"]:
-        arrays = {"expected": f"streams/{row['expected']}", "arrays": row["arrays"]}
-        records.append({**record(row, "valid"), **arrays})
-    for row in rows["bad"]:
-        refusal = {key: row[key] for key in ("section", "offset", "kind")}
-        records.append({**record(row, "invalid"), **refusal})
-    return records
 
 
 def flags():

@@ -199,7 +199,8 @@ def test_page_says_what_the_files_have():
     """Every field of the manifest is on the page, and every file of the folder."""
     manifest = read_manifest()
     cases = [case for subject in manifest["subjects"] for case in subject["cases"]]
-    rows = [manifest, *manifest["subjects"], *manifest["streams"], *cases]
+    streams = published.read_rows()
+    rows = [manifest, *manifest["subjects"], streams, *streams["good"], *streams["bad"], *cases]
     rows += [case["tolerance"] for case in cases]
     rows += [of for case in cases for of in case["tolerance"].values() if isinstance(of, dict)]
     keys = {key for row in rows for key in row}

@@ -12,14 +12,13 @@ import pytest
 
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import quantised_of
-from p4dgs_ref.oracle import checker, safetensors, streams
+from p4dgs_ref.oracle import checker, published, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.golden import decoded
 from tests.golden.decoded import write_answers
 from tests.golden.mistakes import MISTAKES
 from tests.golden.mistakes.__main__ import answers
-from tests.golden.vectors import stream_records
 from tests.sampling import few
 
 ROWS = streams.read_rows()
@@ -268,13 +267,13 @@ def test_through_a_process(tmp_path):
 def test_the_manifest_says_where_and_what(exported):
     """Every file that a record names lies where `export` puts it, with its checksum."""
     folder = exported[0]
-    records = stream_records()
+    records = published.stream_rows()
     assert [r["result"] for r in records] == ["valid"] * len(GOOD) + ["invalid"] * len(BAD)
     assert len({r["id"] for r in records}) == len(records)
     for record in records:
-        data = (folder / record["file"]).read_bytes()
+        data = (folder / "streams" / record["file"]).read_bytes()
         assert (len(data), hashlib.sha256(data).hexdigest()) == (record["bytes"], record["sha256"])
         if record["result"] == "valid":
-            assert (folder / record["expected"]).is_file()
+            assert (folder / "streams" / record["expected"]).is_file()
             assert {entry["name"] for entry in record["arrays"]} <= set(streams.BLAMED)
             assert {entry["type"] for entry in record["arrays"]} <= {*streams.TYPES, "bit"}
