@@ -132,7 +132,7 @@ class Gaussians(NamedTuple):
     r: np.ndarray  # [N, 4]  unit quaternions (w, x, y, z)
     alpha: np.ndarray  # [N]  opacities, from tau_alpha to 1
     color: np.ndarray  # [N, 3]  in [0, 1]
-    index: np.ndarray  # [N]  a k + i for child i of anchor a
+    index: np.ndarray  # [N]  a k + j for child j of anchor a
 
 
 def with_backward(equation, *inputs):

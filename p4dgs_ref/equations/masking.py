@@ -21,7 +21,7 @@ def forward(
     """Gather the N children that are kept into one flat list of Gaussians.
 
     Return alpha [N], x [N, 3], color [N, 3], s [N, 3], r [N, 4], index [N] and what `backward`
-    needs. index holds a k + i for child i of anchor a, in ascending order.
+    needs. index holds a k + j for child j of anchor a, in ascending order.
     """
     index = np.flatnonzero(mask & (alpha >= tau_alpha))
     kept = [a.reshape(alpha.size, a.shape[2]).take(index, axis=0) for a in (x, color, s, r)]

@@ -193,7 +193,7 @@ def to_text(result):
         }
         for row in result["effects"]
     ]
-    never = ", ".join(result["never_called"]) or "none of those that only an effect needs"
+    never = ", ".join(result["never_called"]) or "none"
     return "\n".join([*text_table(columns, cells), "", f"equations never called: {never}"])
 
 

@@ -62,7 +62,7 @@ class Rendered(NamedTuple):
     """What density control and the progress line need of a rendered view."""
 
     alpha: np.ndarray  # [A, k]  opacities before masking
-    index: np.ndarray  # [N]  a k + i of the rendered Gaussians
+    index: np.ndarray  # [N]  a k + j of the rendered Gaussians
     visible: np.ndarray  # [N]  bool
     image: np.ndarray  # [H, W, 3]
 
