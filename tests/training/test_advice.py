@@ -202,9 +202,9 @@ def test_the_command_line_prints_a_warning_at_once_and_as_one_line(capsys, monke
     working = "the work goes on"
     monkeypatch.setattr(
         text,
-        "presets",
+        "preset",
         lambda *args: warnings.warn("views:\x1b\nfew") or cli.print_message(working),
     )
-    assert cli.run(["presets"], 0.0) == 0
+    assert cli.run(["presets", "tiny"], 0.0) == 0
     told = capsys.readouterr().err.splitlines()
     assert told == ["p4dgs-ref: warning: views:\\x1b\\nfew", f"p4dgs-ref: {working}"]
