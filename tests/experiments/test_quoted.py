@@ -26,8 +26,7 @@ QUOTES = MARK.findall(PAGE.read_text(encoding="utf-8"))
 def compared(name):
     """All rows of comparisons."""
     rows = curve.read(name)
-    pairs = [(s, p) for p in (curve.PAPERS, curve.CODED) for s in (curve.STORED, curve.ALIKE)]
-    return [row for pair in pairs for row in curve.compare(rows, *pair)]
+    return [row for s in (curve.STORED, curve.ALIKE) for row in curve.compare(rows, s)]
 
 
 def coded(name):

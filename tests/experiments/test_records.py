@@ -10,6 +10,7 @@ from tests.golden import demo
 from tests.sampling import SEED, turn
 from tutorials.experiments import RECORDS
 from tutorials.experiments.coded_networks import decision
+from tutorials.experiments.equal_terms import curve
 from tutorials.experiments.tables import ablate
 from tutorials.experiments.tables.rows import KEY, TEXTS, make_row
 
@@ -21,7 +22,7 @@ def ablations():
         yield from ablate.plan(p4.load_scene(name), 3, ablate.ITERATIONS)
 
 
-PLANS = {"beyond_networks": decision.plan, "ablate": ablations}
+PLANS = {"beyond_networks": decision.plan, "ablate": ablations, "curve": curve.plan}
 
 
 def rows_of(name):

@@ -20,7 +20,7 @@ from p4dgs_ref.lab.writer import filled, grouped, read_csv
 from p4dgs_ref.scenes import load_scene
 
 from .. import RECORDS, baselines
-from ..tables.methods import CODED, PAPERS, columns, task_of
+from ..tables.methods import PAPERS, columns, task_of
 from ..tables.rows import KEY, TEXTS
 from ..tables.validation import held_back
 from ..tables.writer import best, factors, points_of
@@ -49,7 +49,6 @@ SIZES = {
         {"anchors": 400, **NARROW},
         {"anchors": 800, **NARROW},
     ),
-    CODED: [{"anchors": 400, "lambda_rate": price} for price in (0.002, 0.0005, 0.00025)],
     **dict.fromkeys(FAR, GRID),
     "d3dgs_small": (
         *GRID,
@@ -89,7 +88,7 @@ def plan():
                         tasks += files_of(stored, LOSSES if narrow else ())
                         tasks += [shorter] * (seed == 0)
                     else:
-                        tasks += [stored] if method == CODED else files_of(stored)
+                        tasks += files_of(stored)
     return tasks
 
 
@@ -196,7 +195,7 @@ def curve_of(rows):
     return [(point["bytes"], point["psnr_db"]) for point in best(points_of(rows))]
 
 
-def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
+def compare(rows, storage, scenes=(MEAN, *SCENES)):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
     Both have networks of one size. Every seed has its curves and its median factor; `median` is
@@ -206,7 +205,7 @@ def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
     found = []
     for scene in scenes:
         own = rows if scene == MEAN else chosen(rows, scene=scene)
-        ours = chosen(own, method=papers, storage=STORED if papers == CODED else storage)
+        ours = chosen(own, method=PAPERS, storage=storage)
         theirs = chosen(own, method="d3dgs_small", storage=storage)
         seeds = sorted({row["seed"] for row in ours} & {row["seed"] for row in theirs})
         pairs = [(chosen(ours, seed=seed), chosen(theirs, seed=seed)) for seed in seeds]
@@ -216,7 +215,7 @@ def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
             first, last = min(medians), max(medians)
             verdict = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
             verdict = verdict if len(seeds) > 2 else "open: too few seeds"
-            names = dict(scene=scene, storage=storage, papers=papers, seeds=len(seeds))
+            names = dict(scene=scene, storage=storage, seeds=len(seeds))
             levels = dict(
                 low=min(one["low"] for one in each), high=max(one["high"] for one in each)
             )
@@ -226,13 +225,10 @@ def compare(rows, storage, papers=PAPERS, scenes=(MEAN, *SCENES)):
 
 
 def tell(rows):
-    """Print how D3DGS with a small network compares with the paper's design and coded networks."""
-    for papers in (PAPERS, CODED):
-        found = [row for storage in (STORED, ALIKE) for row in compare(rows, storage, papers)]
-        print(
-            f"\nbytes of D3DGS divided by those of {papers} at equal PSNR, {ITERATIONS} iterations"
-        )
-        print(markdown(COLUMNS, found))
+    """Print how D3DGS with a small network compares with the paper's design."""
+    found = [row for storage in (STORED, ALIKE) for row in compare(rows, storage)]
+    print(f"\nbytes of D3DGS divided by those of {PAPERS} at equal PSNR, {ITERATIONS} iterations")
+    print(markdown(COLUMNS, found))
 
 
 def markdown(columns, rows):

@@ -3,7 +3,6 @@
 from p4dgs_ref.report.figures import (
     BLUE,
     GREEN,
-    LIGHT_BLUE,
     ORANGE,
     PINK,
     RED,
@@ -12,7 +11,7 @@ from p4dgs_ref.report.figures import (
     subplots,
 )
 
-from ..tables.methods import CODED, PAPERS
+from ..tables.methods import PAPERS
 from ..tables.writer import front
 from .curve import ALIKE, SCENES, STORED, chosen, curve_of
 from .steps import STEPS, bands
@@ -25,7 +24,6 @@ CURVES = {  # method and storage: the name and its colour
     (PAPERS, STORED): ("the paper's design, networks float16", BLUE),
     ("d3dgs_small", ALIKE): ("D3DGS, two layers, coded alike", ORANGE),
     (PAPERS, ALIKE): ("the paper's design, coded alike", BLUE),
-    (CODED, STORED): ("networks coded in training", LIGHT_BLUE),
 }
 SHADES = dict(zip(SCENES, ("0.15", "0.45", "0.7")))
 TABLE_3 = {  # MB of the paper's T-Rex
