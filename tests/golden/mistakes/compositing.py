@@ -100,8 +100,8 @@ OTHER_INPUTS = [
         "compositing-opaque-background",
         "the background is added unattenuated, without T_N",
         {
-            "behind[:, None] * background": "background",
-            "transmittance @ g[pixels]": "g[pixels].sum(axis=0)",
+            "T_N[:, None] * background": "background",
+            "T_N @ g[pixels]": "g[pixels].sum(axis=0)",
             "g[pixels] @ background + T_N_bar[pixels]": "T_N_bar[pixels]",
         },
     ),
