@@ -64,7 +64,8 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
 
 def typed(value, where, kind):
     """A value of a type of Python."""
-    require(isinstance(value, kind), where, f"{shown(value)}; expected a {kind.__name__}")
+    if not isinstance(value, kind):  # to show a value takes longer than to check it
+        raise SceneError(where, f"{shown(value)}; expected a {kind.__name__}")
     return value
 
 
@@ -100,7 +101,7 @@ def list_of(value, where, check):
 
 def fields(value, where, table, others=False):
     """The values of an object as a namespace; `others` allows fields that the table lacks."""
-    unknown = sorted(typed(value, where, dict).keys() - table.keys())
+    unknown = sorted(typed(value, where, dict).keys() - table)
     require(
         others or not unknown,
         where,

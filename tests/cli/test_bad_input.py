@@ -601,21 +601,30 @@ def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
     assert tree() == before
 
 
-def test_names_reach_the_terminal_without_their_control_characters(place, run):
+STRANGE = "s$$\x1b[2J\udcff"  # bytes that are no UTF-8 come as such characters
+
+
+@pytest.mark.parametrize(
+    "line",
+    few(
+        [
+            f"train '{STRANGE}' -o 'r\x1b[2J' --preset smoke --set stage_ends=1,2,3,5",
+            f"evaluate 'g\x1b[2J' '{STRANGE}' -o 'r\x1b[2J'",
+            f"demo '{STRANGE}' -o 'r\x1b[2J' --preset smoke --quiet --set stage_ends=1,2,3,5",
+            "encode run -o 'r\x1b[2J/x\x1b[2J'",
+            "render 'g\x1b[2J' -o 'r\x1b[2J/new' --frames 1 --size 4",
+        ],
+        2,
+    ),
+    ids=lambda line: line.split()[0],
+)
+def test_names_reach_the_terminal_without_their_control_characters(place, run, line):
     """Nor does a name of a scene mean mathematics in a figure's title, or end a long command."""
-    odd = "s$$\x1b[2J\udcff"  # bytes that are no UTF-8 come as such characters
-    (place / "scene").rename(place / odd)
+    (place / "scene").rename(place / STRANGE)
     (place / "good.p4dgs").rename(place / "g\x1b[2J")
-    for line in (
-        f"train '{odd}' -o 'r\x1b[2J' --preset smoke --set stage_ends=1,2,3,5",
-        f"evaluate 'g\x1b[2J' '{odd}' -o 'r\x1b[2J'",
-        f"demo '{odd}' -o 'r\x1b[2J' --preset smoke --quiet --set stage_ends=1,2,3,5",
-        "encode run -o 'r\x1b[2J/x\x1b[2J'",
-        "render 'g\x1b[2J' -o 'r\x1b[2J/new' --frames 1 --size 4",
-    ):
-        code, out, err = run(line)
-        assert code == 0 and out and (out + err).replace("\n", "").isprintable(), line
-        assert line.startswith("evaluate") or "r\\x1b[2J" in out
+    code, out, err = run(line)
+    assert code == 0 and out and (out + err).replace("\n", "").isprintable()
+    assert line.startswith("evaluate") or "r\\x1b[2J" in out
 
 
 def test_a_command_whose_room_is_missing_is_one_line(monkeypatch, capsys):

@@ -147,13 +147,16 @@ def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
     Path("home").mkdir()
     monkeypatch.setenv("HOME", str(Path("home").resolve()))
     shutil.copytree(scene, "~/scene")
+    bodies = json.loads((ROOT / "tiny_scenes/static/scene.json").read_text(encoding="utf-8"))
+    few_pixels = json.dumps({**bodies, "resolution": [4, 4]})
+    Path("~/bodies.json").write_text(few_pixels, encoding="utf-8")
     for line in (
-        "train ~/scene -o ~/run --preset smoke --quiet",
+        "train ~/scene -o ~/run --preset smoke --quiet --set stage_ends=1,2,3,5",
         "encode ~/run -o ~/x.p4dgs",
         "evaluate ~/x.p4dgs ~/scene -o ~/compared",
         "render ~/x.p4dgs -o ~/held --frames 1 --size 4",
         "render ~/x.p4dgs -o ~/views --scene ~/scene",
-        f"simulate {ROOT}/tiny_scenes/static/scene.json -o ~/drawn",
+        "simulate ~/bodies.json -o ~/drawn",
     ):
         ok(line)
     wanted = {"held/motion.gif", "held/t_000.png", "views/view_001.png", "drawn/test/r_009.png"}

@@ -126,7 +126,7 @@ def kept(model):
     return without_silent_units(changed(model, **anchors))
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("error")
 def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
@@ -163,7 +163,7 @@ def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
             assert found.model.design == expected.design
         assert encode(found.model) == again, f"seed {seed}, mutant {i}"
     assert seen["decoded"] > count / 3 and seen["flat"] and seen["fewer_anchors"]
-    assert count == 100 or seen["fewer_units"]
+    assert count == 60 or seen["fewer_units"]
 
 
 # --- Memory ---

@@ -178,7 +178,7 @@ def compare(key, name, dtype, samples):
         )
 
 
-@pytest.mark.parametrize("key, name", [case for case in few(CASES, 16) if not case.marks])
+@pytest.mark.parametrize("key, name", [case for case in few(CASES, 10) if not case.marks])
 def test_reference(key, name):
     """Four elements of each gradient; the slow test takes more, of every case."""
     compare(key, name, "float64", 4)

@@ -183,7 +183,14 @@ def test_the_command_writes_a_picture_and_its_numbers(tmp_path, quick, capsys):
     assert {file.name for file in tmp_path.iterdir()} == {"accuracy.csv", "accuracy.png"}
 
 
-def test_training_anew_is_asked_for(tmp_path, quick, capsys):
+@pytest.fixture
+def quick_trainings(quick, monkeypatch):
+    """Of the questions that need no training, one is left."""
+    left = {name: accuracy.QUESTIONS[name] for name in ("noise", "iterations")}
+    monkeypatch.setattr(accuracy, "QUESTIONS", left)
+
+
+def test_training_anew_is_asked_for(tmp_path, quick_trainings, capsys):
     arguments = ["accuracy", "--train", "-o", str(tmp_path / "new")]
     assert cli.run(arguments, 0) == 2
     out, err = capsys.readouterr()
@@ -197,7 +204,7 @@ def test_training_anew_is_asked_for(tmp_path, quick, capsys):
 
 
 @pytest.mark.parametrize("answer, code", few([("y\n", 0), ("n\n", 130), ("", 130)], 1))
-def test_a_terminal_is_asked(answer, code, tmp_path, quick, monkeypatch, capsys):
+def test_a_terminal_is_asked(answer, code, tmp_path, quick_trainings, monkeypatch, capsys):
     class Terminal(io.StringIO):
         def isatty(self):
             return True

@@ -120,7 +120,7 @@ def test_both_halves_are_those_of_whole_trainings():
     """A training that goes on twice from its middle is the same as two trainings."""
     scene = load_scene("static", downscale=4)
     dealt = suggest.shuffled(scene.train, "translation", 1)
-    options = set(MODEL_EFFECTS), 0, 24
+    options = set(MODEL_EFFECTS), 0, 12
     both = suggest.scores(scene, dealt, [scene.train, dealt], *options)
     alone = [suggest.scores(scene, dealt, [views], *options)[0] for views in (scene.train, dealt)]
     assert np.array_equal(both, alone) and not np.array_equal(*both)

@@ -28,7 +28,7 @@ def test_mutations_are_killed_or_equivalent():
 
 # --- whether it is true -------------------------------------------------------------------------
 @pytest.mark.usefixtures("right_reference")
-@pytest.mark.parametrize("share", [0.04, pytest.param(1 if WHOLE else 0.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("share", [0.02, pytest.param(1 if WHOLE else 0.3, marks=pytest.mark.slow)])
 def test_some_mutations_again(judge, hasty, share):
     survivors = {survivor["id"] for survivor in committed()["survivors"]}
     for mutation in DRAW.sample(mutations(), int(share * len(mutations()))):

@@ -1,5 +1,7 @@
 """An effect that is off is absent from the simulator and equals its neutral input."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from p4dgs_ref.effects import MOTION
 from p4dgs_ref.scenes import SIMULATOR_EFFECTS
 from p4dgs_ref.scenes.simulator import bodies, place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import read_description
+from tests.sampling import few
 from tests.training.effect_scenes import EPS, SCENES, described, simulated_effects, small_camera
 
 STILL = {
@@ -62,10 +65,10 @@ def drawn(data, t=0.37, view=4):
     return trace.trace(description, small_camera(camera, 14), t)
 
 
-@pytest.mark.parametrize(
-    "effect", [e for e in SIMULATOR_EFFECTS if e not in ("view_color", "occlusion", "background")]
-)
-@pytest.mark.parametrize("name", SCENES)
+NEUTRAL = [e for e in SIMULATOR_EFFECTS if e not in ("view_color", "occlusion", "background")]
+
+
+@pytest.mark.parametrize("name, effect", few(product(SCENES, NEUTRAL), 8))
 def test_simulator_off_equals_the_neutral_input(name, effect):
     some = [e for e in simulated_effects(name) if e != effect]
     off, data = (
@@ -104,8 +107,7 @@ def test_simulator_background_off_is_black_and_not_asked_for(name, monkeypatch):
     assert np.abs(off[..., :3] - on[..., :3] * on[..., 3:]).max() <= 4 * EPS
 
 
-@pytest.mark.parametrize("effect", CODE)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, effect", few(product(SCENES, CODE), 8))
 def test_simulator_does_not_call_what_is_off(name, effect, monkeypatch):
     calls = []
 

@@ -12,6 +12,7 @@ from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from tests import ROOT
 from tests.golden import needles
+from tests.sampling import few
 
 # (height, width): one pixel, less than a tile, not a multiple of a tile, square.
 SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]
@@ -81,7 +82,7 @@ def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
     assert largest(image, exact) < FAST.stop + 1e-6 and T.max() < FAST.stop
 
 
-@pytest.mark.parametrize("ratio", needles.RATIOS)
+@pytest.mark.parametrize("ratio", few(needles.RATIOS, 1))
 def test_needles_have_all_their_digits_in_every_renderer(ratio):
     """Image and every number of the gradients, against decimals, in both precisions."""
     gaussians, image_bar = needles.needle(ratio)
@@ -103,7 +104,7 @@ def test_needles_have_all_their_digits_in_every_renderer(ratio):
 
 
 @pytest.mark.parametrize(
-    "alpha, least, most", [((0.05, 0.9), 1e-5, 1e-4), ((0, FAST.cut), 1e-4, 1e-3)]
+    "alpha, least, most", few([((0.05, 0.9), 1e-5, 1e-4), ((0, FAST.cut), 1e-4, 1e-3)], 1)
 )
 def test_what_fast_settings_leave_out_bounds_their_error(alpha, least, most):
     """Alphas below the cut and the transmittance at the stop bound the error of a pixel.
@@ -214,7 +215,7 @@ def test_opacities_that_are_nan_or_negative_are_refused(settings, wrong):
 
 
 # --- memory ---
-@pytest.mark.parametrize("height, width", [(90, 120), (131, 50), (29, 43)])
+@pytest.mark.parametrize("height, width", few([(90, 120), (131, 50), (29, 43)], 1))
 @pytest.mark.parametrize("settings, occlusion", [(FAST, True), (FAST, False), (KERNEL, True)])
 def test_a_picture_with_too_many_pairs_is_drawn_in_halves(
     monkeypatch, height, width, settings, occlusion
@@ -238,7 +239,7 @@ def test_a_picture_with_too_many_pairs_is_drawn_in_halves(
         assert nothing is None
 
 
-@pytest.mark.parametrize("n, scale", [(2000, 0.06), (100, 0.5), (10_000, 0.004)])
+@pytest.mark.parametrize("n, scale", few([(2000, 0.06), (100, 0.5), (10_000, 0.004)], 1))
 def test_the_number_of_pairs_bounds_the_memory(monkeypatch, n, scale):
     """Both passes stay below what `MAX_PAIRS` promises, in one piece and in many."""
     rng = np.random.default_rng(0)
