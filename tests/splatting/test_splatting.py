@@ -80,6 +80,19 @@ def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
     image, T, _ = run(fast, inputs, np.ones((8, 8, 3)), settings=FAST)
     exact, *_ = run(compositing, inputs, np.ones((8, 8, 3)))
     assert largest(image, exact) < FAST.stop + 1e-6 and T.max() < FAST.stop
+    _, (chunks, *_) = fast.forward(**inputs, settings=FAST)
+    assert len(chunks) == 1
+
+
+def test_the_loop_draws_the_rectangles_of_the_fast_renderer():
+    """The kernel's end in whole tiles; beyond them, three sigma away, alpha is still 0.01."""
+    inputs, image_bar = splats(60, 50, 70, seed=3, sigma=(0.8, 5.0)), np.ones((50, 70, 3))
+    double = KERNEL._replace(dtype="float64")
+    image, T, bars = run(fast, inputs, image_bar, settings=double)
+    looped, looped_T, looped_bars = run(loop, inputs, image_bar, settings=double)
+    assert largest(looped, image) < 1e-12 and largest(looped_T, T) < 1e-12
+    for name, bar in bars.items():
+        assert relative(looped_bars[name], bar) < 1e-11, name
 
 
 @pytest.mark.parametrize("ratio", few(needles.RATIOS, 1))

@@ -40,6 +40,7 @@ def test_few_views_are_told_of_in_one_line():
             },
             4,
         ),
+        ({"image": np.linspace((0.5, 0.2, 0.1), (0.5, 0.2, 0.9), 192).reshape(12, 16, 3)}, 0),
     ],
 )
 def test_pictures_without_content_are_counted(change, count):
@@ -73,6 +74,12 @@ def test_starting_points_that_training_cannot_use_are_counted(points, extent, wo
     assert bool(told) == bool(words) and "\n" not in told
     assert [word for word in words if word not in told] == [], told
     assert advice.odd_points(scene(30), preset, 0, points) == told
+
+
+def test_points_at_the_right_edge_of_a_wide_picture_are_seen():
+    points = [[0, 1.0, 0.7], [0, 1.25, 0.7]]  # 14.8 and 16.5 pixels from the left edge, of 16
+    told = advice.odd_points(scene(1), replace(TINY, voxel=1e-3), 0, np.array(points))
+    assert "1 outside every training view" in told
 
 
 def test_points_that_a_camera_sees_are_not_projected_again(monkeypatch):

@@ -4,7 +4,7 @@ import io
 import os
 import re
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,11 +16,12 @@ from p4dgs_ref.equations import scale
 from p4dgs_ref.model import LATTICE, snap
 from p4dgs_ref.scenes import SceneError, load_scene
 from p4dgs_ref.splatting import tiles
-from p4dgs_ref.training import advice, progress
+from p4dgs_ref.training import advice, objective, progress
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
 from p4dgs_ref.training.parameters import Parameters, exponential
 from p4dgs_ref.training.presets import (
     MAX_VALUE,
+    MAX_WIDTH,
     PAPER_REAL,
     PAPER_SYNTHETIC,
     REQUIREMENTS,
@@ -43,11 +44,12 @@ def scene():
 
 # --- presets ---
 def test_paper_presets_hold_the_numbers_that_the_paper_prints():
-    """Appendix, 'Hyperparameters', and section 4.1."""
-    for preset, voxel, d, ends in (
-        (PAPER_SYNTHETIC, 0.001, 16, (3000, 5000, 10_000, 40_000)),
-        (PAPER_REAL, 0.01, 32, (3000, 4000, 10_000, 20_000)),
+    """Appendix, 'Hyperparameters', and section 4.1; the frequencies of time are those of D3DGS."""
+    for preset, voxel, d, L_t, ends in (
+        (PAPER_SYNTHETIC, 0.001, 16, 6, (3000, 5000, 10_000, 40_000)),
+        (PAPER_REAL, 0.01, 32, 10, (3000, 4000, 10_000, 20_000)),
     ):
+        assert (preset.L_x, preset.L_t, preset.mask_from) == (10, L_t, ends[1])
         assert (preset.voxel, preset.d, preset.k, preset.stage_ends) == (voxel, d, 10, ends)
         assert preset.hidden == preset.context == (2 * d, 2 * d) and preset.deformation == (
             192,
@@ -137,6 +139,11 @@ def test_a_field_takes_both_ends_and_nothing_beyond(names, least, most):
         assert [*map(is_met, (least - 1e-12, least, most, 1.005 * most))] == [0, 1, 1, 0], name
 
 
+def test_layers_have_both_ends_of_their_widths_and_nothing_beyond():
+    _, is_met = REQUIREMENTS["hidden"]
+    assert [is_met((2, n)) for n in (0, 1, MAX_WIDTH, MAX_WIDTH + 1)] == [0, 1, 1, 0]
+
+
 def test_changes_as_text_and_as_values_agree():
     text = choose(
         "smoke",
@@ -167,6 +174,10 @@ def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
         "bits_per_parameter": 3.25,
         "gaussians": 1,
     }
+    preset.iterations, shown.stream = 2000, None
+    for trainer.iteration in range(2, 50):
+        shown(trainer, losses, SimpleNamespace(image=image, index=[7]), view)
+    assert [row[0] for row in trainer.history] == [1, 20, 40]  # at least one in twenty steps
 
 
 # --- all of it ---
@@ -218,6 +229,8 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     squared = np.sort(((x[:, None] - x) ** 2).sum(axis=2), axis=1)[:, 1:4].mean(axis=1)
     assert np.allclose(np.exp(p["log_s"]), np.sqrt(squared)[:, None], rtol=1e-4)
     assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
+    np.testing.assert_allclose(neighbour_distance(np.zeros((4, 3))), 1e-7**0.5)  # as in 3DGS
+    assert neighbour_distance([[0, 0, 0], [0, 3, 4]]).tolist() == [5, 5]
 
 
 def test_networks_start_upright_and_hardly_move(scene):
@@ -293,6 +306,26 @@ def test_what_each_stage_moves(scene):
     assert moved[1] == moved[2] == base | {"x_a"}
     assert moved[3] == base | {"x_a", "psi_d"}
     assert moved[4] - {"x_a"} == base | {"psi_d", "psi_p", "psi_q", "grid"}
+
+
+@pytest.mark.parametrize(
+    "rates",
+    [
+        {"lr_x": "x_a", "lr_O": "O_a", "lr_c": "psi_c", "lr_psi_s": "psi_s", "lr_p": "psi_p"},
+        {"lr_f": "f_a", "lr_l": "log_l", "lr_alpha": "psi_alpha", "lr_d": "psi_d"},
+        {"lr_s": "log_s", "lr_r": "psi_r", "lr_q": "psi_q", "lr_grid": "grid"},
+    ],
+)
+def test_each_rate_moves_its_own_arrays(scene, rates):
+    """Neighbours in the table of rates are in different groups: the others are zero."""
+    every = [field.name for field in fields(SMOKE) if field.name.startswith("lr_")]
+    some = {name: (0.01 * (name in rates),) * 2 for name in every}
+    trainer = Trainer(scene, replace(SMOKE, stage_ends=(1, 2, 3, 5), **some))
+    before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
+    trainer.run()
+    after = trainer.parameters.arrays
+    moved = {name.split(".")[0] for name in before if not np.array_equal(before[name], after[name])}
+    assert moved - {"x_a"} == {*rates.values()} - {"x_a"}  # stage 4 puts x_a on a lattice
 
 
 def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
@@ -379,6 +412,20 @@ def test_a_bad_backward_is_traced(scene, monkeypatch):
 
     monkeypatch.setattr(scale, "backward", wrong)
     with pytest.raises(NotFinite, match="equation 'scale', backward, gradient of: s_a"):
+        Trainer(scene, SMOKE).step()
+
+
+def test_a_gradient_that_no_equation_spoiled_is_named(scene, monkeypatch):
+    real = objective.loss
+
+    def wrong(*inputs):
+        losses, rendered, back = real(*inputs)
+        gradients, mean2d_bar = back()
+        gradients["f_a"][3, 1] = np.nan
+        return losses, rendered, lambda: (gradients, mean2d_bar)
+
+    monkeypatch.setattr(objective, "loss", wrong)
+    with pytest.raises(NotFinite, match=r"iteration 0: gradient of: f_a\[3, 1\] is nan"):
         Trainer(scene, SMOKE).step()
 
 
