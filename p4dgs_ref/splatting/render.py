@@ -55,7 +55,7 @@ def pinhole(camera, settings) -> dict:
     )
 
 
-def composite(splats, alpha, color, camera, background, settings, occlusion=True, keep=True):
+def composite(splats, alpha, color, camera, background, settings, occlusion, keep):
     """Composite splats in float64: what `forward` returns, the compositor, and what that saved."""
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))

@@ -85,8 +85,10 @@ def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
 
 
 def test_the_loop_draws_the_rectangles_of_the_fast_renderer():
-    """The kernel's end in whole tiles; beyond them, three sigma away, alpha is still 0.01."""
-    inputs, image_bar = splats(60, 50, 70, seed=3, sigma=(0.8, 5.0)), np.ones((50, 70, 3))
+    """A square of 25 pixels around a splat of 8 ends where a tile does, and alpha is still 0.01."""
+    inputs, image_bar = splats(1, 70, 90, alpha=(0.9, 1.0)), np.ones((70, 90, 3))
+    inputs["conic"][:], inputs["cov2d"][:] = [1 / 64, 0, 1 / 64], [64, 0, 64]
+    inputs["mean2d"][:] = 16 + 25.01
     double = KERNEL._replace(dtype="float64")
     image, T, bars = run(fast, inputs, image_bar, settings=double)
     looped, looped_T, looped_bars = run(loop, inputs, image_bar, settings=double)

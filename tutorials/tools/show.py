@@ -310,13 +310,13 @@ def bits(figure, data, camera, t, view):
     Returns axes for more.
     """
     left, right, more = figure.subplot_mosaic(
-        "ab;ac", width_ratios=(1, 1.1), height_ratios=(1.7, 1)
+        "ab;ac", width_ratios=(1, 1.35), height_ratios=(1.7, 1)
     ).values()
     model, whole = anchor_bits(data)
     scale = left.scatter([], [], c=[], cmap=AMOUNT, vmin=whole.min(), vmax=whole.max())
     image = frame(model, camera, t, colors=scale.to_rgba(whole)[:, :3])
     picture(left, image, camera, **view, title="anchors coloured by their bits")
-    figure.colorbar(scale, ax=left, location="bottom", label="bits")
+    figure.colorbar(scale, ax=left, location="left", label="bits")
     coded = symbol_bits(quantised_of(read_container(data)))
     groups = np.add.reduceat(coded, np.cumsum((0, *model.design.widths[:3])), axis=1)
     table = np.column_stack([whole - coded.sum(axis=1), groups])
