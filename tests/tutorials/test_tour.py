@@ -23,6 +23,7 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
     with figures.styled(lessons.STYLE):  # as they are drawn: numbers of colour bars are made then
+        figure.draw_without_rendering()  # as when a file is written: the layout has to settle
         labels = drawn.texts(figure)
         shown = {numeral for label, _ in labels for numeral in NUMERAL.findall(label)}
         assert drawn.overlaps(labels) == [] and drawn.smallest(figure) > 19  # pixels
