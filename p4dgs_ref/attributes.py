@@ -1,6 +1,6 @@
 """The four attributes of an anchor in the order in which they are coded, a row each.
 
-Code that treats all four alike reads these rows: the coder, the sections of the file, plots. The
+Code that treats all four alike reads these rows: the coder and the sections of the file. The
 pipelines and training call f_a, s_a, l_a and O_a by their names.
 """
 
@@ -14,8 +14,6 @@ class Attribute(NamedTuple):
     shape: tuple  # of an anchor's numbers; "d" and "k" are those of the Design
     is_log: bool  # whether its logarithm is trained (Q5)
     section: str  # of the file
-    base_step: str  # the field of the preset that holds Q_0
-    label: str  # in plots
 
     @property
     def name(self):
@@ -38,9 +36,9 @@ class Attribute(NamedTuple):
 
 
 ATTRIBUTES = (
-    Attribute("f", ("d",), False, "features", "Q_f", "features f"),
-    Attribute("s", (3,), True, "scales", "Q_s", "scales s"),
-    Attribute("l", (3,), True, "offset_scales", "Q_l", "offset scales l"),
-    Attribute("O", ("k", 3), False, "offsets", "Q_O", "offsets O"),
+    Attribute("f", ("d",), False, "features"),
+    Attribute("s", (3,), True, "scales"),
+    Attribute("l", (3,), True, "offset_scales"),
+    Attribute("O", ("k", 3), False, "offsets"),
 )
 GROUPS = tuple(row.group for row in ATTRIBUTES)

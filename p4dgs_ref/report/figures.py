@@ -6,7 +6,6 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ..attributes import ATTRIBUTES
 from ..scenes.files import image_bytes
 from ..splatting import render
 from ..splatting.camera import look_at
@@ -18,7 +17,10 @@ STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
     "header": "header",
     "positions": "anchor positions",
-    **{row.section: row.label for row in ATTRIBUTES},
+    "features": "features f",
+    "scales": "scales s",
+    "offset_scales": "offset scales l",
+    "offsets": "offsets O",
     "masks": "masks",
     "hash_grid": "hash grid",
     "deformation_mlp": "deformation MLP",

@@ -173,8 +173,13 @@ def test_effects_listed_in_the_folder(folder):
     assert not scene.background.any()  # no `background`: black, the neutral input
 
 
+def in_frame(**fields):
+    """A change of fields of the second frame."""
+    return lambda data: data["frames"][1].update(fields)
+
+
 def change_matrix(rows):
-    return lambda data: data["frames"][1].update(transform_matrix=rows)
+    return in_frame(transform_matrix=rows)
 
 
 def with_entry(i, j, value):
@@ -194,22 +199,22 @@ MISTAKES = [
     ),
     (
         "absent picture",
-        lambda d: d["frames"][1].update(file_path="./train/r_9"),
+        in_frame(file_path="./train/r_9"),
         ("frames[1].file_path", "r_9.png"),
     ),
     (
         "absent picture with its suffix",
-        lambda d: d["frames"][1].update(file_path="./train/r_9.jpg"),
+        in_frame(file_path="./train/r_9.jpg"),
         ("frames[1].file_path: no picture './train/r_9.jpg'; expected",),
     ),
     ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time: missing", "[0, 1]")),
     (
         "time NaN",
-        lambda d: d["frames"][1].update(time=math.nan),
+        in_frame(time=math.nan),
         ("frames[1].time", "nan", "[0, 1]"),
     ),
-    ("time 1.5", lambda d: d["frames"][1].update(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
-    ("time true", lambda d: d["frames"][1].update(time=True), ("frames[1].time", "[0, 1]")),
+    ("time 1.5", in_frame(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
+    ("time true", in_frame(time=True), ("frames[1].time", "[0, 1]")),
     (
         "no matrix",
         lambda d: d["frames"][1].pop("transform_matrix"),
@@ -284,37 +289,37 @@ MISTAKES = [
     ),
     (
         "a picture above the folder",
-        lambda d: d["frames"][1].update(file_path="../secret"),
+        in_frame(file_path="../secret"),
         ("frames[1].file_path", "outside", "picture in the folder"),
     ),
     (
         "a picture above the folder, by a way through it",
-        lambda d: d["frames"][1].update(file_path="./train/../../secret.png"),
+        in_frame(file_path="./train/../../secret.png"),
         ("frames[1].file_path", "outside"),
     ),
     (
         "a picture through a link",
-        lambda d: d["frames"][1].update(file_path="link"),
+        in_frame(file_path="link"),
         ("frames[1].file_path", "outside"),
     ),
     (
         "a picture through a linked folder",
-        lambda d: d["frames"][1].update(file_path="linked/secret"),
+        in_frame(file_path="linked/secret"),
         ("frames[1].file_path", "outside"),
     ),
     (
         "a picture that is a pipe",
-        lambda d: d["frames"][1].update(file_path="pipe"),
+        in_frame(file_path="pipe"),
         ("frames[1].file_path", "no picture"),
     ),
     (
         "a name with a zero byte",
-        lambda d: d["frames"][1].update(file_path="train/r_001\0"),
+        in_frame(file_path="train/r_001\0"),
         ("frames[1].file_path", "control characters"),
     ),
     (
         "a name no file bears",
-        lambda d: d["frames"][1].update(file_path="a" * 300),
+        in_frame(file_path="a" * 300),
         ("frames[1].file_path", "picture"),
     ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),

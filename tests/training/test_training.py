@@ -415,17 +415,21 @@ def test_a_bad_backward_is_traced(scene, monkeypatch):
         Trainer(scene, SMOKE).step()
 
 
-def test_a_gradient_that_no_equation_spoiled_is_named(scene, monkeypatch):
+@pytest.mark.parametrize(
+    "L_total, said", [(1.0, r"gradient of: f_a\[3, 1\] is nan"), (np.inf, "objective: L_total is")]
+)
+def test_what_no_equation_spoiled_is_named(scene, monkeypatch, L_total, said):
+    """First the losses, then the gradients, which mostly follow from them."""
     real = objective.loss
 
     def wrong(*inputs):
         losses, rendered, back = real(*inputs)
         gradients, mean2d_bar = back()
         gradients["f_a"][3, 1] = np.nan
-        return losses, rendered, lambda: (gradients, mean2d_bar)
+        return losses._replace(L_total=L_total), rendered, lambda: (gradients, mean2d_bar)
 
     monkeypatch.setattr(objective, "loss", wrong)
-    with pytest.raises(NotFinite, match=r"iteration 0: gradient of: f_a\[3, 1\] is nan"):
+    with pytest.raises(NotFinite, match=f"iteration 0: {said}"):
         Trainer(scene, SMOKE).step()
 
 

@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from p4dgs_ref.attributes import ATTRIBUTES
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab.writer import grouped, text_table, twice_standard_error
 from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
@@ -41,7 +40,7 @@ AFTER_LAST = TINY.iterations  # later than every iteration
 WITHOUT_RATE = {  # stage 3 goes on to the end, and the noise is too small to change anything
     "stage_ends": (*TINY.stage_ends[:2], AFTER_LAST, AFTER_LAST),
     "mask_from": AFTER_LAST,
-    **dict.fromkeys((row.base_step for row in ATTRIBUTES), 2.0**-40),
+    **dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), 2.0**-40),
 }
 AUTHORS = d3dgs.Preset()
 # What each step changes of the preset of the paper's whole method; the last four leave out a part.
