@@ -113,11 +113,6 @@ SCENES = [
         ("scene.json: effects", "teleport", "translation"),
     ),
     (
-        "an integer of 4,000 digits",
-        edit_frame(time=10**4000),
-        ("train.json: frames[1].time", "[0, 1]"),
-    ),
-    (
         "an integer of 5,000 digits",
         rewrite("transforms_train.json", lambda text: text.replace("0.7", "9" * 5000)),
         ("transforms_train.json",),
@@ -138,15 +133,6 @@ SCENES = [
             '{"effects": ["\\u001b[31m"]}', encoding="utf-8"
         ),
         ("scene.json: effects", "\\x1b[31m"),
-    ),
-    *(
-        (f"no {name} of NeRF-DS", lambda place, name=name: (place / "two" / name).unlink(), words)
-        for name, words in {
-            "points.npy": ("two/points.npy", "missing"),
-            "scene.json": ("two/scene.json", "missing", "NeRF-DS"),
-            "dataset.json": ("transforms_train.json", "D-NeRF", "dataset.json"),
-            "camera/000002_right.json": ("camera/000002_right.json", "missing"),
-        }.items()
     ),
     (
         "a list for an object of NeRF-DS",

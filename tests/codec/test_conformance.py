@@ -196,6 +196,12 @@ def test_the_plain_decoder_reads_other_models(name):
         assert list(found[key]) == array.ravel().tolist(), key
 
 
+def test_a_header_has_at_most_2_to_the_14_bytes():
+    assert header.read_object(b"{}".ljust(2**14)) == {}
+    with pytest.raises(BitstreamError, match="16385 bytes"):
+        header.read_object(b"{}".ljust(2**14 + 1))
+
+
 def test_worked_numbers_of_the_format_page():
     """The plain decoder computes the worked numbers, and the page states them."""
     grid = {"grid": [("xy", 3)], "F": 1, "Q_0": [0.1]}

@@ -258,6 +258,15 @@ def test_impossible_heads_are_refused(head, why):
     assert why in outcome(bytes.fromhex(head) + padding, units, units)
 
 
+def test_the_lowest_state_takes_no_word():
+    assert rans.pop_bits(rans.LOWEST << 5 | 19, 5, []) == (rans.LOWEST, 19)
+    keys, half, words = np.array([0, 2**23, 2**24]), np.array([2**23]), np.array([7], np.uint32)
+    states, _ = rans.push_rows_plainly([rans.LOWEST], 0 * half, half)
+    for pop in (rans.pop_rows_fast, rans.pop_rows_plainly):
+        popped, left = pop(states, words, 0 * half, keys, np.empty(1, int))
+        assert popped == [rans.LOWEST] and len(left) == 1
+
+
 def test_raw_bits_are_read_strictly():
     units = np.full(3, 307), np.full(3, 9)
     data = bytes.fromhex("80 cb 67 86 a4 03 00 00 00 ff ff ff 00 a0 05")
@@ -267,7 +276,8 @@ def test_raw_bits_are_read_strictly():
     zero = np.zeros(40, int)
     data = bytearray(encode_gaussian(escapes, zero, zero))
     data[-40:] = bytes(40)
-    assert outcome(bytes(data + b"\1" + bytes(40)), zero, zero).startswith("an escape of")
+    error = refusal(decode_gaussian, bytes(data + b"\1" + bytes(40)), zero, zero)
+    assert "an escape of" in str(error) and len(data) - 45 < error.offset < len(data) - 35
 
 
 def test_symbols_beyond_2_to_the_31_are_refused():

@@ -228,7 +228,7 @@ def test_anchors_start_on_the_lattice_with_their_neighbours_distance(scene):
     x = p["x_a"].astype(float)
     squared = np.sort(((x[:, None] - x) ** 2).sum(axis=2), axis=1)[:, 1:4].mean(axis=1)
     assert np.allclose(np.exp(p["log_s"]), np.sqrt(squared)[:, None], rtol=1e-4)
-    assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))).shape == (1,)
+    assert not p["O_a"].any() and neighbour_distance(np.zeros((1, 3))) == [0.1]
     np.testing.assert_allclose(neighbour_distance(np.zeros((4, 3))), 1e-7**0.5)  # as in 3DGS
     assert neighbour_distance([[0, 0, 0], [0, 3, 4]]).tolist() == [5, 5]
 

@@ -8,47 +8,33 @@ from p4dgs_ref.training.parameters import Parameters
 from tutorials.experiments.baselines import d3dgs, gaussian4d, hexplane
 
 MODULES = {"d3dgs": d3dgs, "hexplane": hexplane, "gaussian4d": gaussian4d}
+SHARED = dict(gaussians=40, iterations=30, sh_every=10, grow_from=5, grow_every=10, grow_until=25)
 SMALL = {
     "d3dgs": replace(
         d3dgs.SMALL,
-        gaussians=40,
+        **SHARED,
         deformation=(9, 8, 7),
         skip=True,
         time_net=(6, 5),
         deformation_gain=1.0,
         L_x=1,
         L_t=2,
-        iterations=30,
         warm_up=10,
-        sh_every=10,
-        grow_from=5,
-        grow_every=10,
-        grow_until=25,
     ),
     "hexplane": replace(
         hexplane.Preset(),
-        gaussians=40,
-        iterations=30,
+        **SHARED,
         warm_up=10,
-        sh_every=10,
         nodes=3,
         time_nodes=4,
         features=2,
         hidden=(5, 6),
         deformation_gain=1.0,
-        grow_from=5,
-        grow_every=10,
-        grow_until=25,
     ),
     "gaussian4d": replace(
         gaussian4d.Preset(),
-        gaussians=40,
+        **{**SHARED, "iterations": 60, "grow_until": 45},
         most=50,
-        iterations=60,
-        sh_every=10,
-        grow_from=5,
-        grow_every=10,
-        grow_until=45,
     ),
 }
 # Arrays that are drawn anew as mean + size * normal numbers, so that every array matters.
