@@ -198,6 +198,7 @@ def test_the_paper_presets_say_where_each_value_comes_from(ok):
     known = {"paper", "Scaffold-GS", "HAC", "D3DGS", "3DGS", "chosen", "off"}
     assert {source.split()[0].strip(";,") for source in sources.values()} == known
     assert [*sources.values()].count("paper") == 11 and sources["lambda_rate"] == "HAC (Q12)"
+    assert sources["lr_x"] == "Scaffold-GS (Q14)"
 
 
 def test_the_version_says_which_kernels_are_in_force(run):

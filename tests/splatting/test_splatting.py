@@ -167,18 +167,17 @@ def test_ellipse_test_is_exact():
     inputs = splats(300, 40, 48, seed=5, sigma=(0.6, 9.0))
     lists = bin_splats(inputs)
     listed = set(zip(lists.tile.tolist(), lists.splat.tolist()))
-    fine = np.linspace(0, 7, 113)
-    a, b, c = inputs["conic"].T[:, :, None, None]
-    superfluous = 0
+    fine, superfluous = np.linspace(0, 7, 113), 0
+    (m_x, m_y), (a, b, c) = (inputs[name].T[:, :, None, None] for name in ("mean2d", "conic"))
     for tile in range(lists.columns * lists.rows):
-        x, y = np.meshgrid(fine + tile % lists.columns * 8, fine + tile // lists.columns * 8)
-        for row in range(300):
-            e_x, e_y = x - inputs["mean2d"][row, 0], y - inputs["mean2d"][row, 1]
-            form = a[row] * e_x**2 + c[row] * e_y**2 + 2 * b[row] * e_x * e_y
-            peak = inputs["alpha"][row] * np.exp(-0.5 * form.min())
-            if peak >= FAST.cut:
-                assert (tile, row) in listed
-            superfluous += peak < 0.9 * FAST.cut and (tile, row) in listed
+        x_0, y_0 = tile % lists.columns * 8, tile // lists.columns * 8
+        e_x, e_y = fine + x_0 - m_x, fine[:, None] + y_0 - m_y
+        form = (a * e_x**2 + c * e_y**2 + 2 * b * e_x * e_y).min(axis=(1, 2))
+        nearest = tiles.nearest_form(inputs["mean2d"], inputs["conic"], x_0, y_0, 7)
+        assert (nearest <= form + 1e-12).all()
+        peak = inputs["alpha"] * np.exp(-0.5 * form)
+        assert listed.issuperset((tile, row) for row in np.flatnonzero(peak >= FAST.cut))
+        superfluous += sum((tile, row) in listed for row in np.flatnonzero(peak < 0.9 * FAST.cut))
     assert superfluous <= 0.001 * len(listed)
 
 

@@ -161,12 +161,13 @@ def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
     trainer = SimpleNamespace(iteration=1, preset=preset, count=2, history=[])
     shown = progress.Progress(stream)
     monkeypatch.setattr(progress.time, "monotonic", lambda: shown.shown + 2)
+    shown.steps = 3  # since the last line
     losses = SimpleNamespace(L_total=0.5, L_rate=3.25)
     view = SimpleNamespace(image=truth, camera=SimpleNamespace(width=2, height=1))
     shown(trainer, losses, SimpleNamespace(image=image, index=[7]), view)
     assert stream.getvalue() == (
-        " 1/24  46 s left  stage 1  loss 0.5000  PSNR 20.00 dB at 2x1  3.25 bits/parameter  "
-        "2 anchors  1 Gaussian  2000.0 ms/step\n"
+        " 1/24  12 s left  stage 1  loss 0.5000  PSNR 20.00 dB at 2x1  3.25 bits/parameter  "
+        "2 anchors  1 Gaussian  500.0 ms/step\n"
     )
     numbers = dict(iteration=1, stage=1, loss=0.5, psnr_db=pytest.approx(20), anchors=2)
     (row,) = trainer.history
