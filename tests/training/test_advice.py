@@ -12,6 +12,7 @@ from p4dgs_ref.cli import text
 from p4dgs_ref.scenes.load import find_scene
 from p4dgs_ref.training import advice
 from p4dgs_ref.training.presets import TINY
+from tests.sampling import few
 from tests.training.bars import Share, moving, scene
 
 
@@ -187,7 +188,7 @@ def odd():
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("work", [p4.train, p4.main_job])
+@pytest.mark.parametrize("work", few([p4.train, p4.main_job], 1))
 def test_training_warns_before_and_after(work, tmp_path):
     told = messages(work, odd(), "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
     overfitted = [line for line in told if "knows the pictures better" in line]

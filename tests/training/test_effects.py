@@ -48,7 +48,7 @@ def weights_of(arrays, effect, d):
     )
 
 
-@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 6))
+@pytest.mark.parametrize("name, effect", few([*product(SCENES, MODEL_EFFECTS)], 4))
 def test_off_is_absent_and_on_is_there(name, effect):
     for on in (False, True):
         trainer, data, calls = trained(name, effect, on)

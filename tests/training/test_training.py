@@ -275,10 +275,9 @@ def test_points_beyond_what_a_file_holds_are_refused_in_one_line(scene, monkeypa
 
 
 @pytest.mark.parametrize("t", [np.nan, np.inf])
-def test_a_time_that_is_not_finite_is_refused(trained, t):
-    camera = trained.scene.test[0].camera
+def test_a_time_that_is_not_finite_is_refused(scene, t):
     with pytest.raises(ValueError, match=r"^t: expected a number, got (nan|inf)$"):
-        trained.model.render(camera, t)
+        Trainer(scene, SMOKE).model().render(scene.train[0].camera, t)
 
 
 def test_a_picture_of_too_many_pairs_is_trained_and_judged_in_halves(scene, monkeypatch):
