@@ -12,18 +12,12 @@ class Attribute(NamedTuple):
 
     group: str  # the paper's letter; `model.Anchors` has the field "f_a" for "f"
     shape: tuple  # of an anchor's numbers; "d" and "k" are those of the Design
-    is_log: bool  # whether its logarithm is trained (Q5)
     section: str  # of the file
 
     @property
     def name(self):
         """The field of `model.Anchors`."""
         return f"{self.group}_a"
-
-    @property
-    def parameter(self):
-        """The trained array."""
-        return f"log_{self.group}" if self.is_log else self.name
 
     @property
     def per_child(self):
@@ -36,9 +30,9 @@ class Attribute(NamedTuple):
 
 
 ATTRIBUTES = (
-    Attribute("f", ("d",), False, "features"),
-    Attribute("s", (3,), True, "scales"),
-    Attribute("l", (3,), True, "offset_scales"),
-    Attribute("O", ("k", 3), False, "offsets"),
+    Attribute("f", ("d",), "features"),
+    Attribute("s", (3,), "scales"),
+    Attribute("l", (3,), "offset_scales"),
+    Attribute("O", ("k", 3), "offsets"),
 )
 GROUPS = tuple(row.group for row in ATTRIBUTES)

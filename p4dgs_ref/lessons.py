@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .attributes import ATTRIBUTES
 from .output import write_atomically
 from .report.figures import COLORS
 from .splatting.table import EQUATIONS
@@ -149,10 +148,9 @@ def at_stage_4(trainer, model):
     The networks that draw are also the model's. The trainer must have as many anchors as the model.
     """
     (arrays, values), anchors = trainer.state(), model.anchors
-    new = {"x_a": anchors.x_a}
-    for row in ATTRIBUTES:
-        values_a = getattr(anchors, row.name)
-        new[row.parameter] = np.log(np.maximum(values_a, 1e-4)) if row.is_log else values_a
+    log_s, log_l = (np.log(np.maximum(values, 1e-4)) for values in (anchors.s_a, anchors.l_a))
+    new = {"x_a": anchors.x_a, "f_a": anchors.f_a, "log_s": log_s, "log_l": log_l}
+    new["O_a"] = anchors.O_a
     for name in model.networks.keys() - {"psi_p", "psi_q"}:
         for kind, layers in zip("Wb", model.networks[name]):
             new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}
