@@ -149,8 +149,8 @@ def at_stage_4(trainer, model):
     """
     (arrays, values), anchors = trainer.state(), model.anchors
     log_s, log_l = (np.log(np.maximum(values, 1e-4)) for values in (anchors.s_a, anchors.l_a))
-    new = {"x_a": anchors.x_a, "f_a": anchors.f_a, "log_s": log_s, "log_l": log_l}
-    new["O_a"] = anchors.O_a
+    new = {"x_a": anchors.x_a, "f_a": anchors.f_a, "O_a": anchors.O_a}
+    new |= {"log_s": log_s, "log_l": log_l}
     for name in model.networks.keys() - {"psi_p", "psi_q"}:
         for kind, layers in zip("Wb", model.networks[name]):
             new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}

@@ -148,8 +148,8 @@ def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
     monkeypatch.setenv("HOME", str(Path("home").resolve()))
     shutil.copytree(scene, "~/scene")
     bodies = json.loads((ROOT / "tiny_scenes/static/scene.json").read_text(encoding="utf-8"))
-    few_pixels = json.dumps({**bodies, "resolution": [4, 4]})
-    Path("~/bodies.json").write_text(few_pixels, encoding="utf-8")
+    bodies["resolution"] = [4, 4]
+    Path("~/bodies.json").write_text(json.dumps(bodies), encoding="utf-8")
     for line in (
         "train ~/scene -o ~/run --preset smoke --quiet --set stage_ends=1,2,3,5",
         "encode ~/run -o ~/x.p4dgs",

@@ -234,8 +234,7 @@ def test_every_bit_of_log2_is_that_of_the_page():
 
 def test_deviations_are_clipped_before_the_smallest_step_divides_them():
     """Without weights in its last layer, psi_p gives its biases for every anchor."""
-    small = dict.fromkeys(("Q_f", "Q_s", "Q_l", "Q_O"), 1e-5)
-    model = random_model(3, anchors=2, **small)
+    model = random_model(3, anchors=2, Q_f=1e-5, Q_s=1e-5, Q_l=1e-5, Q_O=1e-5)
     weights, biases = model.networks["psi_p"]
     mu_columns, raw_columns = layout(model.design.widths)
     raw = np.linspace(-20, 10, len(raw_columns)).astype(np.float16)

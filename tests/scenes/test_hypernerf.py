@@ -255,6 +255,7 @@ MISTAKES = [
         {"val_ids": ["../bell"]},
         ("metadata.json: ../bell", "missing; expected a dict"),
     ),
+    ("dataset.json", {"val_ids": ["a\nb"]}, ("dataset.json: val_ids[0]", "control characters")),
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
     ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
@@ -262,6 +263,7 @@ MISTAKES = [
     ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.time_id: missing", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": -1}}, (f"{LEFT[1]}.time_id", "-1", "[0, ")),
     ("metadata.json", {LEFT[1]: {"time_id": 0.5}}, (f"{LEFT[1]}.time_id", "integer")),
+    ("metadata.json", {LEFT[1]: {"time_id": True}}, (f"{LEFT[1]}.time_id", "integer")),
     (VIEW, {"orientation": None}, (f"{VIEW}: orientation: missing", "shape [3, 3]")),
     (VIEW, {"orientation": (2 * np.eye(3)).tolist()}, (f"{VIEW}: orientation", "rotation")),
     (

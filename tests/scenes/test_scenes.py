@@ -173,6 +173,11 @@ def test_effects_listed_in_the_folder(folder):
     assert not scene.background.any()  # no `background`: black, the neutral input
 
 
+def in_file(**fields):
+    """A change of fields outside the frames."""
+    return lambda data: data.update(fields)
+
+
 def in_frame(**fields):
     """A change of fields of the second frame."""
     return lambda data: data["frames"][1].update(fields)
@@ -190,7 +195,7 @@ def with_entry(i, j, value):
 
 MISTAKES = [
     ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
-    ("empty split", lambda d: d.update(frames=[]), ("frames", "at least one")),
+    ("empty split", in_file(frames=[]), ("frames", "at least one")),
     ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "a dict")),
     (
         "no file_path",
@@ -323,13 +328,13 @@ MISTAKES = [
         ("frames[1].file_path", "picture"),
     ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
-    ("angle 4", lambda d: d.update(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
-    ("angle text", lambda d: d.update(camera_angle_x="0.6"), ("camera_angle_x", "one number")),
-    ("fl_x 0", lambda d: d.update(fl_x=0), ("fl_x", "[1e-09")),
-    ("fl_y huge", lambda d: d.update(fl_y=10**400), ("fl_y", "1e+09]")),
-    ("cy NaN", lambda d: d.update(cy=math.nan), ("cy", "nan", "1e+09]")),
+    ("angle 4", in_file(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
+    ("angle text", in_file(camera_angle_x="0.6"), ("camera_angle_x", "one number")),
+    ("fl_x 0", in_file(fl_x=0), ("fl_x", "[1e-09")),
+    ("fl_y huge", in_file(fl_y=10**400), ("fl_y", "1e+09]")),
+    ("cy NaN", in_file(cy=math.nan), ("cy", "nan", "1e+09]")),
     *(
-        (f"{name} {value}", lambda d, f={name: value}: d.update(f), (name, *words))
+        (f"{name} {value}", in_file(**{name: value}), (name, *words))
         for name, value, *words in (
             ("w", 0, "[1, 1e+09]"),
             ("w", 24, "24x8", "12x8 pixels"),

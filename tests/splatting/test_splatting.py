@@ -85,7 +85,7 @@ def test_the_fast_renderer_ends_where_no_tile_lets_light_through():
 
 
 def test_the_loop_draws_the_rectangles_of_the_fast_renderer():
-    """A square of 25 pixels around a splat of 8 ends where a tile does, and alpha is still 0.01."""
+    """The kernel's square ends 25 pixels from a splat with sigma 8; alpha is 0.01 there, not 0."""
     inputs, image_bar = splats(1, 70, 90, alpha=(0.9, 1.0)), np.ones((70, 90, 3))
     inputs["conic"][:], inputs["cov2d"][:] = [1 / 64, 0, 1 / 64], [64, 0, 64]
     inputs["mean2d"][:] = 16 + 25.01
