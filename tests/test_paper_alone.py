@@ -1,8 +1,6 @@
 """The paper can be read, run and tested with everything else deleted."""
 
-import ast
 import os
-import re
 import shutil
 import site
 import subprocess
@@ -11,56 +9,14 @@ import sys
 import pytest
 
 from tests import ROOT
-from tests.budget import PACKAGE, files, imported, parse
+from tests.imports import imported
 
 ROOMS = ("equations", "splatting", "scenes", "training", "codec")
 OTHERS = ("oracle", "viewer")  # and the laboratory but for its random inputs
-FILES = [
-    *(file for room in ROOMS for file in files(f"p4dgs_ref/{room}")),
-    *(PACKAGE / f"{name}.py" for name in ("attributes", "effects", "limits", "model", "output")),
-]
 KEPT = (  # of the tests, which need no published vectors or streams
     *("equations", "numerics", "splatting", "scenes", "simulator", "training"),
     *("density", "pipeline_gradient", "container", "file", "entropy_coder", "fuzz"),
 )
-# What another design once asked for: words, arguments of functions, and fields of classes.
-WORDS = re.compile(
-    r"\bB[123]\b|is_coded|coded design|version 2|another design|another class|on_lattice"
-    r"|\b(beyond|designs) import|import (beyond|designs)"
-)
-HOOKS = {"weight", "R_more", "move", "presets", "form", "Form", "more", "find_first"}
-CHECKED = "container.py"  # its `read_file(check)`; scenes have checks of their own
-
-
-def hooks(file):
-    """The lines of a file whose arguments, fields or classes are another design's."""
-    for node in ast.walk(parse(file)):
-        name = getattr(node, "arg", None) if isinstance(node, ast.arg) else None
-        if isinstance(node, ast.AnnAssign):
-            name = ast.unparse(node.target)
-        elif isinstance(node, ast.ClassDef):
-            name = node.name
-        if name in HOOKS or name == "check" and file.name == CHECKED:
-            yield f"{file.name}:{node.lineno}: {name}"
-
-
-def test_the_rooms_of_the_paper_hold_the_paper():
-    """No word, argument, field or class that only makes sense for something that is not in it."""
-    found = [line for file in FILES for line in hooks(file)]
-    for file in FILES:
-        lines = file.read_text(encoding="utf-8").splitlines()
-        found += [
-            f"{file.name}:{i}: {line}" for i, line in enumerate(lines, 1) if WORDS.search(line)
-        ]
-    assert not found, found
-
-
-@pytest.mark.parametrize(
-    "code", ["def f(R_more): pass", "class A:\n    weight: float = 1.0", "class Form: pass"]
-)
-def test_a_hook_for_another_design_is_found(tmp_path, code):
-    (tmp_path / "new.py").write_text(code, encoding="utf-8")
-    assert len([*hooks(tmp_path / "new.py")]) == 1
 
 
 def in_copy(folder, *command):

@@ -15,8 +15,7 @@ from p4dgs_ref.cli import job
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.oracle import published, streams
 from tests import ROOT
-from tests.budget import subcommands
-from tests.cli.conftest import command
+from tests.cli.conftest import command, subcommands
 
 PROMISE = json.loads((ROOT / "tests" / "promise.json").read_text(encoding="utf-8"))
 

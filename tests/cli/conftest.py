@@ -1,5 +1,6 @@
 """What the tests of the commands share: how a command is run, what is refused, a small scene."""
 
+import argparse
 import json
 import shlex
 import time
@@ -22,6 +23,12 @@ def command(line):
     with warnings.catch_warnings():
         warnings.filterwarnings("always", category=UserWarning)
         return cli.run(shlex.split(line), time.perf_counter())
+
+
+def subcommands(command):
+    """Return {name: parser} of what a command is divided into."""
+    divided = (a for a in command._actions if isinstance(a, argparse._SubParsersAction))
+    return {name: part for action in divided for name, part in action.choices.items()}
 
 
 @pytest.fixture

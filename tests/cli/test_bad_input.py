@@ -26,10 +26,9 @@ from p4dgs_ref.scenes.files import MAX_JSON_BYTES
 from p4dgs_ref.training import presets
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
 from tests import ROOT
-from tests.budget import subcommands
 from tests.sampling import few
 
-from .conftest import command, tree
+from .conftest import command, subcommands, tree
 
 
 @pytest.fixture(scope="module")

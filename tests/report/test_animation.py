@@ -11,7 +11,7 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.files import box_filter
 from p4dgs_ref.scenes.load import DESCRIPTION, find_scene
 from p4dgs_ref.scenes.simulator.description import read_description
-from tests.budget import ROOT
+from tests import ROOT
 from tutorials.tools import animation, show
 
 SIDE = 256

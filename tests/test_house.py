@@ -1,16 +1,11 @@
-"""The house stays small: counts within the budget, imports that point one way, installed files."""
+"""The order of the rooms, the packages that are imported, and the files that are installed."""
 
 import configparser
 import re
-import subprocess
 import sys
-from shutil import which
-
-import pytest
 
 from tests import ROOT
-from tests.budget import CEILINGS, PACKAGE, budget, files, imported, room_of, tokens
-from tests.processes import CAPTURED
+from tests.imports import PACKAGE, files, imported
 
 PACKAGE_FILES = files("p4dgs_ref")
 # A room imports itself and the rooms before it. The first row is the ground floor.
@@ -22,45 +17,17 @@ ORDER = (
 PACKAGES = {"numpy", "scipy", "imageio", "matplotlib"}
 
 
-# --- the budget ---------------------------------------------------------------------------------
-def excess(entry, counts):
-    """What to do where an entry counts more than its ceiling, in one line; "" where it does not."""
-    count, ceiling = counts[entry], CEILINGS[entry]
-    if count <= ceiling:
-        return ""
-    return (
-        f"{entry}: {count:,}, at most {ceiling:,}: take out {count - ceiling:,} first; "
-        "entries of tests/budget.json are never raised, `python -m tests.budget` counts"
-    )
-
-
-@pytest.mark.skipif(sys.version_info >= (3, 12), reason="an f-string is several tokens there")
-@pytest.mark.parametrize("entry", CEILINGS)
-def test_counts_stay_within_their_budget(entry):
-    line = excess(entry, budget())
-    assert not line, line
-
-
-def test_everything_is_counted_and_too_much_is_said():
-    assert budget().keys() == CEILINGS.keys()
-    counts = {"codec": CEILINGS["codec"] + 1}
-    assert excess("codec", counts).startswith("codec: 11,601, at most 11,600: take out 1 first")
-
-
-@pytest.mark.skipif(sys.version_info >= (3, 12), reason="an f-string is several tokens there")
-def test_tokens_are_counted_without_comments_and_docstrings(tmp_path):
-    file = tmp_path / "sample.py"
-    text = '"""A module."""\nx = 1  # one\ndef f():\n    """A function."""\n    return [f"{x}"]\n'
-    file.write_text(text, encoding="utf-8")
-    assert tokens(file) == len("x = 1 def f ( ) : return [ text ]".split())
-
-
 # --- the order of the house ---------------------------------------------------------------------
+def room_of(file, package=PACKAGE):
+    """The first part of a module's path below the package."""
+    return file.relative_to(package).parts[0].removesuffix(".py")
+
+
 def imported_rooms(file, package=PACKAGE):
     """The other rooms of the package that a file imports."""
     parts = [name.split(".") for name in imported(file, package)]
     found = {p[1] for p in parts if p[0] == package.name and len(p) > 1}
-    return found - {file.relative_to(package).parts[0].removesuffix(".py")}
+    return found - {room_of(file, package)}
 
 
 def test_rooms_import_only_rooms_before_them():
@@ -68,8 +35,11 @@ def test_rooms_import_only_rooms_before_them():
     for file in PACKAGE_FILES:
         room = room_of(file)
         assert room in rank, f"{file.name}: {room} is a new room; give it a place in ORDER"
-        wrong = {other for other in imported_rooms(file) if rank.get(other, 99) >= rank[room]}
-        assert room == "__init__" or not wrong, f"{file.relative_to(ROOT)} imports {wrong}"
+        later = {other for other in imported_rooms(file) if rank.get(other, 99) >= rank[room]}
+        assert room == "__init__" or not later, (
+            f"{file.relative_to(ROOT)} imports {later}, and {room} stands before it in ORDER: data "
+            "flow one way, so that a reader meets no room that needs a later one"
+        )
 
 
 def test_imports_are_seen_wherever_they_stand(tmp_path):
@@ -118,11 +88,3 @@ def test_requirements_are_the_named_packages():
     required = SETUP["options"]["install_requires"].split()
     assert {re.split(r"\W", requirement)[0] for requirement in required} == PACKAGES
     assert SETUP["options.extras_require"]["test"].split() == ["pytest>=7.0.0"]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not (ROOT / ".git").exists() or not which("git"), reason="no checkout")
-def test_a_checkout_is_small():
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, **CAPTURED).stdout
-    files = [ROOT / name for name in listed.split("\0") if name]
-    assert sum(file.stat().st_size for file in files if file.is_file()) <= 20_000_000
