@@ -6,6 +6,7 @@ differ. Those for AVX2 run on nearly every x86-64 processor since 2015, so `prep
 
 import ctypes
 import os
+import platform
 import sys
 import warnings
 
@@ -41,7 +42,7 @@ def prepare() -> None:
 def keep_pages():
     """Tell glibc to keep the pages of large arrays; worker processes call it for themselves."""
     try:
-        mallopt = ctypes.CDLL(None).mallopt
+        mallopt = ctypes.CDLL("libc.so.6").mallopt  # its name on Linux, and nowhere else
         mallopt(M_MMAP_THRESHOLD, 1 << 30)
         mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
     except (OSError, AttributeError):
@@ -49,7 +50,12 @@ def keep_pages():
 
 
 def has_avx2():
-    """Whether Linux says that the processor has AVX2 and FMA."""
+    """Whether Linux says that the processor has AVX2 and FMA.
+
+    Under emulation /proc/cpuinfo is that of the host, so the name of the machine is asked first.
+    """
+    if platform.machine() != "x86_64":
+        return False
     flags = next((line for line in lines_of("/proc/cpuinfo") if line.startswith("flags")), "")
     return {"avx2", "fma"} <= set(flags.split())
 

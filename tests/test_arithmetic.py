@@ -6,6 +6,7 @@
 import io
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -97,7 +98,13 @@ def test_kernels_are_chosen_where_the_system_knows_the_instructions(monkeypatch,
 
     monkeypatch.setattr(arithmetic, "open", opened, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     assert arithmetic.has_avx2() == has
+    monkeypatch.setattr(
+        platform, "machine", lambda: "aarch64"
+    )  # emulated: the flags are the host's
+    assert not arithmetic.has_avx2()
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(sys, "platform", "darwin")
     assert not arithmetic.has_avx2()
 

@@ -390,6 +390,8 @@ def run(argv, start):
     arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
     with warnings.catch_warnings():
+        # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags where every number is right.
+        warnings.filterwarnings("ignore", ".* encountered in matmul", RuntimeWarning)
         # In one line, at once; the place in the code means nothing to a user.
         warnings.showwarning = lambda message, *place, **stream: print_warning(message)
         try:

@@ -86,7 +86,7 @@ def read_networks(data, section, shapes):
     """The networks {name: (weights, biases)} of a section, float64."""
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
     require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
-    numbers = np.frombuffer(data, "<f2").astype(float)
-    finite = np.isfinite(numbers)
+    numbers = np.frombuffer(data, "<f2")
+    finite = np.isfinite(numbers)  # before the cast, which a signalling NaN makes warn on ARM
     require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
-    return networks_of(numbers, shapes)
+    return networks_of(numbers.astype(float), shapes)
