@@ -1,7 +1,6 @@
-"""What the tutorials share: figures, checks of gradients, and exercises that check themselves."""
+"""What the tutorials share: claims, checks of gradients, and exercises that check themselves."""
 
 import json
-import os
 import sys
 from functools import cache
 from pathlib import Path
@@ -10,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .output import write_atomically
-from .report.figures import COLORS
 from .splatting.table import EQUATIONS
 
 
@@ -52,20 +49,6 @@ TUTORIALS = (
     Tutorial("27_rate_distortion"),
     Tutorial("28_porting_in_an_afternoon"),
 )
-STYLE = {
-    "figure.figsize": (8, 4.5),
-    "figure.dpi": 120,
-    "font.size": 12,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "lines.linewidth": 2,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.prop_cycle": f"cycler(color={list(COLORS)})",
-}
-# The anchor of tutorials/demo.p4dgs that all tutorials follow. It sits on the highlight of the red
-# ball; child 0 is masked, and `child` changes its colour most when the camera walks around.
-THREAD = SimpleNamespace(name="anchor 29", index=29, child=2, color="#8000D0")
 ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
 NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
 # Factors between a wrong answer and the right one that a message names, because they do not give
@@ -105,101 +88,18 @@ def tutorial_of(key):
     raise KeyError(f"{key!r}: no tutorial in TUTORIALS of p4dgs_ref/lessons.py explains it")
 
 
-# --- figures --------------------------------------------------------------------------------------
-def pyplot():
-    """Return matplotlib.pyplot in the style of the tutorials, whatever the user's settings are."""
-    plt = bare_pyplot()
-    plt.style.use(["default", STYLE])
-    return plt
+# --- the checkout ---------------------------------------------------------------------------------
+def find_tools():
+    """Let the tutorial that runs import `tutorials.tools`, which only a checkout has."""
+    for folder in folder_of_tutorial().parents:
+        if (folder / "tutorials" / "tools").is_dir():
+            sys.path.append(str(folder))
 
 
-def bare_pyplot():
-    """Return matplotlib.pyplot, with windows only in a notebook or at an interactive prompt."""
-    if not interactive():
-        os.environ["MPLBACKEND"] = "Agg"  # before the import: a notebook's may not be installed
-        import matplotlib
-
-        matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
-def interactive():
-    """Whether this is a notebook or an interactive prompt."""
-    return hasattr(sys, "ps1") or "ipykernel" in sys.modules
-
-
-def begin():
-    """Return pyplot, and let the tutorial that runs import `tutorials.tools` of its checkout."""
-    sys.path.extend(str(root) for root in here().parents if (root / "tutorials" / "tools").is_dir())
-    return pyplot()
-
-
-def here():
+def folder_of_tutorial():
     """Return the folder of the tutorial that runs, or of its notebook."""
     script = Path(sys.argv[0]).resolve().parent
     return script if script.name in ("tutorials", "solutions") else Path.cwd()
-
-
-def at_stage_4(trainer, model):
-    """Return the state of a trainer at the beginning of stage 4, with the anchors of a model.
-
-    The networks that draw are also the model's. The trainer must have as many anchors as the model.
-    """
-    (arrays, values), anchors = trainer.state(), model.anchors
-    log_s, log_l = (np.log(np.maximum(values, 1e-4)) for values in (anchors.s_a, anchors.l_a))
-    new = {"x_a": anchors.x_a, "f_a": anchors.f_a, "O_a": anchors.O_a}
-    new |= {"log_s": log_s, "log_l": log_l}
-    for name in model.networks.keys() - {"psi_p", "psi_q"}:
-        for kind, layers in zip("Wb", model.networks[name]):
-            new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}
-    arrays |= {f"p/{name}": array.astype(np.float32) for name, array in new.items()}
-    arrays["mask"] = anchors.mask
-    return arrays, {**values, "iteration": trainer.preset.stage_ends[2]}
-
-
-def out():
-    """Return the folder for figures, which is `out` beside the tutorial that runs.
-
-    The environment variable P4DGS_TUTORIALS_OUT names another one.
-    """
-    folder = Path(os.environ.get("P4DGS_TUTORIALS_OUT") or here() / "out")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def finish(ax, legend=None, grid=True, title_size="large", **settings):
-    """Set the title, labels and limits of axes; `legend` holds the settings of one, if any."""
-    ax.set(**settings)
-    ax.title.set_size(title_size)
-    if legend is not None:
-        ax.legend(**legend)
-    if not grid:
-        ax.grid(False)
-
-
-def label(ax, *places, **settings):
-    """Write the labels of lines beside them and in their colours, in place of a legend.
-
-    The places are those of the texts, in the units of the axes and in the order of the lines.
-    """
-    lines = [line for line in ax.get_lines() if not line.get_label().startswith("_")]
-    for line, place in zip(lines, places, strict=True):
-        ax.text(*place, line.get_label(), color=line.get_color(), **settings)
-
-
-def show(figure, name, title="", size=16):
-    """Save a figure as out/NAME.png, and show it in a notebook or at an interactive prompt."""
-    if title:
-        figure.suptitle(title, fontsize=size)
-    place = out() / f"{name}.png"
-    write_atomically(place, lambda file: figure.savefig(file, bbox_inches="tight"))
-    if interactive():
-        bare_pyplot().show(block=False)
-    else:
-        print(f"figure: {place.parent.name}/{place.name}")
-        bare_pyplot().close(figure)
 
 
 # --- checks of gradients --------------------------------------------------------------------------
@@ -212,15 +112,15 @@ def random_like(rng, values):
     return rng.normal(size=np.shape(values))
 
 
-def moved(values, directions, h):
+def shift(values, directions, h):
     """Return values + h * directions, for an array, a list of arrays or a dictionary.
 
     Entries of a dictionary that have no direction stay as they are.
     """
     if isinstance(values, dict):
-        return values | {name: moved(values[name], d, h) for name, d in directions.items()}
+        return values | {name: shift(values[name], d, h) for name, d in directions.items()}
     if isinstance(values, list):
-        return [moved(value, d, h) for value, d in zip(values, directions)]
+        return [shift(value, d, h) for value, d in zip(values, directions)]
     return values + h * directions
 
 
@@ -246,7 +146,7 @@ def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
     Returns the direction, and the change of the loss along it by differences.
     """
     d, h = random_like(rng, inputs), 1e-6
-    up, down = (inner(forward(**moved(inputs, d, step))[0], cotangents) for step in (h, -h))
+    up, down = (inner(forward(**shift(inputs, d, step))[0], cotangents) for step in (h, -h))
     difference, gradient = (up - down) / (2 * h), inner(gradients, d)
     print(f"by differences {difference:.9f}, by gradient {gradient:.9f}")
     assert close(difference, gradient, tolerance)
@@ -266,7 +166,7 @@ def passes(*keys, port=None):
         assert report.ok
 
 
-def caught(mistaken, key, *says, vjp=None):
+def check_mistake(mistaken, key, *says, vjp=None):
     """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
     first = oracle().check(mistaken, key, vjp).first
     assert first, f"{key}: the mistake is not noticed"
@@ -290,7 +190,7 @@ def check_number(exercise, mine, want=None, digits=6):
     Whole numbers must be equal; others need as many right digits as `digits` says. Without `want`,
     the answer is compared with the one that is stored for the exercise.
     """
-    want = np.asarray(stored("answers")[exercise] if want is None else want)
+    want = np.asarray(read_stored("answers")[exercise] if want is None else want)
     try:
         mine = np.asarray(mine, float)
     except (TypeError, ValueError, OverflowError):
@@ -307,7 +207,7 @@ def check_number(exercise, mine, want=None, digits=6):
     rules = (
         *(
             (np.isclose(mine, wrong, near / 10, 0).all(), reason)
-            for wrong, reason in stored("mistakes").get(exercise, ())
+            for wrong, reason in read_stored("mistakes").get(exercise, ())
             if mine.shape == np.shape(wrong)
         ),
         (
@@ -354,13 +254,13 @@ def settle(exercise, problem, waived=""):
 
 def hint(exercise):
     """Print the first hint on an exercise, and the second one when it is asked for again."""
-    hints = stored("hints")[exercise]
+    hints = read_stored("hints")[exercise]
     HINTS_GIVEN[exercise] = min(HINTS_GIVEN.get(exercise, 0) + 1, len(hints))
     print(f"hint {HINTS_GIVEN[exercise]} of {len(hints)}: {hints[HINTS_GIVEN[exercise] - 1]}")
 
 
 @cache
-def stored(name):
+def read_stored(name):
     """Return what is stored by exercise: `answers`, `hints`, or typical `mistakes`."""
     return json.loads(Path(__file__).with_name(f"{name}.json").read_text(encoding="utf-8"))
 

@@ -5,12 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from p4dgs_ref import EQUATIONS, decode, lessons, oracle
+from p4dgs_ref import EQUATIONS, lessons, oracle
 from p4dgs_ref.equations import offsets
-from p4dgs_ref.scenes import load, simulator
-from p4dgs_ref.splatting import render
-from p4dgs_ref.splatting.settings import FAST
-from tests import ROOT
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +95,7 @@ def test_a_whole_number_is_right_or_wrong(exercise, mine, message, capsys):
 
 def test_a_typical_wrong_answer_is_told_what_it_forgets(capsys):
     """In most exercises with a stored answer; three digits are enough."""
-    asked, told = lessons.stored("answers"), lessons.stored("mistakes")
+    asked, told = lessons.read_stored("answers"), lessons.read_stored("mistakes")
     assert told.keys() < asked.keys() and len(told) >= 35
     for exercise, rows in told.items():
         for wrong, reason in rows:
@@ -118,20 +114,9 @@ def test_numbers_that_agree_with_the_largest_alone_are_counted():
     assert lessons.difference(right < 1, right > 0) == "2 of 4 numbers are wrong"  # flags, too
 
 
-def test_every_line_with_a_label_has_it_at_its_place_and_in_its_colour():
-    _, ax = lessons.pyplot().subplots()
-    ax.plot([0, 1], color="r", label="up")
-    ax.plot([1, 0])
-    lessons.label(ax, (0.5, 0.2))
-    (text,) = ax.texts
-    assert (text.get_text(), text.get_position(), text.get_color()) == ("up", (0.5, 0.2), "r")
-    with pytest.raises(ValueError, match="zip"):
-        lessons.label(ax)
-
-
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
     monkeypatch.setattr(lessons, "HINTS_GIVEN", {})
-    first, second = lessons.stored("hints")["07.3"]
+    first, second = lessons.read_stored("hints")["07.3"]
     for message in (f"1 of 2: {first}", f"2 of 2: {second}", f"2 of 2: {second}"):
         lessons.hint("07.3")
         assert capsys.readouterr().out == f"hint {message}\n"
@@ -278,30 +263,7 @@ def test_a_number_that_should_be_zero_and_integers_of_few_bits():
 
 
 def test_a_mistake_that_is_not_known_is_told_by_its_first_wrong_number(capsys):
-    lessons.caught(lambda x_a, O_a, l_a: x_a[:, None] + 1.2345 * O_a * l_a[:, None], "offsets")
+    lessons.check_mistake(
+        lambda x_a, O_a, l_a: x_a[:, None] + 1.2345 * O_a * l_a[:, None], "offsets"
+    )
     assert re.search(r"offsets/ordinary fails: out\.x\S* \S", capsys.readouterr().out)
-
-
-def test_the_thread_anchor_is_seen_changes_its_colour_moves_and_has_a_masked_child():
-    thread = lessons.THREAD
-    model = decode((ROOT / "tutorials" / "demo.p4dgs").read_bytes())
-    scene = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
-    cameras = [
-        simulator.camera_at(scene, azimuth, np.radians(26))
-        for azimuth in np.radians(range(0, 360, 15))
-    ]
-    mask, first = model.anchors.mask[thread.index], model.design.k * thread.index
-    assert thread.name == f"anchor {thread.index}" and list(mask) == [False, True, True, True]
-    children = first + np.flatnonzero(mask)
-    colors = []
-    for camera in cameras:
-        *inputs, index = model.gaussians(0.3, camera)
-        (image, *_), saved = render.forward(*inputs, camera, model.background, FAST)
-        mine = np.flatnonzero(np.isin(index, children))
-        assert (index[mine] == children).all()
-        shares = render.backward(saved, np.ones_like(image))["color"]  # in pixels, a channel each
-        assert shares[mine].sum() / 3 > 2  # never hidden
-        colors.append(inputs[4][index == first + thread.child][0])
-    assert 255 * np.ptp(colors, axis=0).max() > 60
-    places = [model.gaussians(t, cameras[0])[0][mine] for t in np.linspace(0, 1, 11)]
-    assert (np.ptp(places, axis=0)[:, 2] > 0.3).all()

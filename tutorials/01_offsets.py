@@ -12,9 +12,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("01_offsets")
 rng = np.random.default_rng(1)
 
@@ -33,7 +34,7 @@ rng = np.random.default_rng(1)
 # %%
 from p4dgs_ref.scenes import simulator
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 gaussians = model.gaussians(0.3, camera)
 mine = gaussians.index // model.design.k == thread.index
@@ -57,7 +58,7 @@ show.picture(left, show.frame(model, camera, 0.3), camera, **tour.VIEW)
 mean2d, cov2d, *_ = show.splats(gaussians, camera, mine)
 show.ellipses(left, mean2d, cov2d, fc="none", ec=thread.color, lw=3)
 left.set_title("the trained scene, and three Gaussians of it")
-shades = dict(zip((*free, "$l_a$", "offsets", "feature"), (*lessons.COLORS, "0.7")))
+shades = dict(zip((*free, "$l_a$", "offsets", "feature"), (*figures.COLORS, "0.7")))
 for y in (3, 2, 1):
     show.strip(right, free, y, shades)
 show.strip(right, anchor, 0, shades)
@@ -65,7 +66,7 @@ right.legend(
     right.patches[:5] + right.patches[-4:-2] + right.patches[-1:], shades, ncols=4, loc="upper left"
 )
 right.text(38, 0, "anchor 29: 37, and a share of the networks", color=thread.color, va="center")
-lessons.finish(
+figures.finish(
     right,
     xlabel="numbers",
     yticks=(),
@@ -73,7 +74,7 @@ lessons.finish(
     title="what they store as free Gaussians: 3 × 59",
     grid=False,
 )
-lessons.show(figure, "01_offsets_free")
+figures.show(figure, "01_offsets_free")
 
 # %% [markdown]
 # ## Claim
@@ -140,7 +141,7 @@ for ax in (left, right):
 left.set_title("all anchors (black) and their children")
 x, y = show.to_pixels(anchors.x_a[thread.index], camera)
 right.set(xlim=(x - 6, x + 6), ylim=(y + 5, y - 5), title="anchor 29: $x_a$, and $x_a + O_j l_a$")
-lessons.show(figure, "01_offsets")
+figures.show(figure, "01_offsets")
 
 # %% [markdown]
 # ## Backward by hand
@@ -169,7 +170,7 @@ assert gradients["l_a"][0, 0] == 6
 # The next cell writes these sums as loops and compares them with `offsets.backward`.
 
 # %%
-from p4dgs_ref.lessons import inner, moved, random_like
+from p4dgs_ref.lessons import inner, random_like, shift
 
 A, k = 5, 4
 inputs = {
@@ -201,15 +202,15 @@ assert close(ours["l_a"], l_a_bar)
 # + \langle\bar l, \dot l\rangle.$$
 # This is the *adjoint identity*. It tests all gradients of an equation with two evaluations of its
 # forward, and most tutorials use it. The module `lessons` therefore has short functions for its
-# parts: `random_like` draws the tangents, `moved` adds $\epsilon$ times the tangents to the inputs,
+# parts: `random_like` draws the tangents, `shift` adds $\epsilon$ times the tangents to the inputs,
 # `inner` is $\langle a, b\rangle$, and `close` compares two results up to a relative tolerance.
 # Later tutorials call `lessons.adjoint`, which does what the next cell does.
 
 # %%
 tangents = random_like(rng, inputs)
 epsilon = 1e-6
-up, _ = offsets.forward(**moved(inputs, tangents, epsilon))
-down, _ = offsets.forward(**moved(inputs, tangents, -epsilon))
+up, _ = offsets.forward(**shift(inputs, tangents, epsilon))
+down, _ = offsets.forward(**shift(inputs, tangents, -epsilon))
 difference = inner(x_bar, up - down) / (2 * epsilon)
 gradient = inner(ours, tangents)
 assert close(difference, gradient, 1e-8)
@@ -322,8 +323,8 @@ lessons.check_number("01.3", answer_3)
 #
 # A common mistake comes from Scaffold-GS, from which this equation is taken. Scaffold-GS stores the
 # logarithm of $l_a$, whereas $l_a$ here is the scaling itself. The checker recognises the wrong
-# results and names the mistake. `lessons.caught` prints what the checker says of a port with a
-# mistake. Later tutorials call `lessons.passes` to check a port that is right.
+# results and names the mistake. `lessons.check_mistake` prints what the checker says of a port with
+# a mistake. Later tutorials call `lessons.passes` to check a port that is right.
 
 # %%
 from p4dgs_ref import oracle
@@ -340,4 +341,4 @@ def port_of_scaffold(x_a, O_a, l_a):
 report = oracle.check(port, "offsets")
 print(report)
 assert report.ok
-lessons.caught(port_of_scaffold, "offsets", "logarithm")
+lessons.check_mistake(port_of_scaffold, "offsets", "logarithm")

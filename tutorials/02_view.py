@@ -14,9 +14,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("02_view")
 rng = np.random.default_rng(2)
 
@@ -53,7 +54,7 @@ for (top, bottom), degrees in zip(axes.T, (0, 35, 70)):
     bottom.set(**show.BARE)
 axes[0, 0].set_ylabel("as it is")
 axes[1, 0].set_ylabel("one colour for all cameras")
-lessons.show(figure, "02_view_ball")
+figures.show(figure, "02_view_ball")
 
 # %% [markdown]
 # 3DGS therefore stores 48 numbers for each Gaussian, from which its colour in every direction
@@ -115,7 +116,7 @@ assert not no_direction.any()
 # %%
 from p4dgs_ref.scenes import simulator
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 walk = np.arange(0, 360, 5)
 cameras = [simulator.camera_at(tour.SCENE, *np.radians((degrees, 26))) for degrees in walk]
 seen = [model.gaussians(0.3, camera) for camera in cameras]
@@ -138,14 +139,14 @@ for name, i in zip("abcd", (6, 20, 42, 60)):
     axes[name].set_title(f"camera at {walk[i]}°")
 axes["e"].imshow(colors.swapaxes(0, 1), aspect="auto", extent=(-2.5, 357.5, 2.5, -0.5))
 axes["e"].set_yticks(range(3), names)
-lessons.finish(
+figures.finish(
     axes["e"],
     xlabel="direction of the camera (degrees)",
     xticks=walk[[6, 20, 42, 60]],
     title="the colours of its children",
     grid=False,
 )
-lessons.show(figure, "02_view_walk", title="A walk around anchor 29")
+figures.show(figure, "02_view_walk", title="A walk around anchor 29")
 
 # %% [markdown]
 # ## Backward by hand
@@ -266,10 +267,10 @@ assert np.abs(radial_part).max() < 1e-15
 figure, ax = plt.subplots(figsize=(7.5, 7))
 ax.plot(0, 0, "k^", ms=14)
 ax.plot(*ring[:, :2].T, "o", color="0.5")
-for arrows, color in zip((of_length, of_direction), lessons.COLORS):
+for arrows, color in zip((of_length, of_direction), figures.COLORS):
     places = *ring[:, :2].T, *arrows[:, :2].T
     ax.quiver(*places, color=color, angles="xy", scale_units="xy", scale=0.8, width=0.006)
-lessons.finish(
+figures.finish(
     ax,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
@@ -280,7 +281,7 @@ lessons.finish(
     r"along the ray from $\bar\delta_{vc} = 1$, across it from $\bar d_{vc} = (1, 0, 0)$",
     title_size=13,
 )
-lessons.show(figure, "02_view")
+figures.show(figure, "02_view")
 
 # %% [markdown]
 # ## Break it
@@ -443,7 +444,7 @@ def to_camera(x_a, x_c):
 
 
 lessons.passes("view")
-lessons.caught(to_camera, "view", "to the camera")
+lessons.check_mistake(to_camera, "view", "to the camera")
 
 # %% [markdown]
 # ## For ports

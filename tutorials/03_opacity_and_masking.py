@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("03_opacity_and_masking")
 rng = np.random.default_rng(1103)
 
@@ -31,7 +32,7 @@ rng = np.random.default_rng(1103)
 # %%
 from p4dgs_ref.scenes import simulator
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 whole = model.anchors._replace(mask=np.ones_like(model.anchors.mask))
 weights, biases = model.networks["psi_alpha"]
@@ -42,7 +43,7 @@ opaque = replace(model, anchors=whole, networks={**model.networks, "psi_alpha": 
 figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
 for ax, (title, shown) in zip(axes, (("the trained scene", model), ("all opaque", opaque))):
     show.picture(ax, show.frame(shown, camera, 0.3), camera, title=title, **tour.VIEW)
-lessons.show(figure, "03_opacity_and_masking_cloud")
+figures.show(figure, "03_opacity_and_masking_cloud")
 
 # %% [markdown]
 # ## Claim
@@ -150,7 +151,7 @@ for j, ((u, v), alpha_j) in enumerate(zip(mean2d, alphas)):
     left.text(u, v, j, ha="center", va="center")
     middle.bar(j, alpha_j, color=thread.color)
 middle.axhline(0, color="k", lw=1)
-lessons.finish(
+figures.finish(
     middle,
     xlabel="child of anchor 29",
     ylabel=r"opacity $\alpha$",
@@ -158,8 +159,8 @@ lessons.finish(
 )
 bins = np.linspace(-0.5, 1, 31)
 parts = gaussians.alpha[~masked], gaussians.alpha[masked]
-right.hist(parts, bins, stacked=True, color=("0.75", lessons.COLORS[1]), label=("kept", "masked"))
-lessons.finish(
+right.hist(parts, bins, stacked=True, color=("0.75", figures.COLORS[1]), label=("kept", "masked"))
+figures.finish(
     right,
     xlabel=r"opacity $\alpha$",
     ylabel="children",
@@ -167,7 +168,7 @@ lessons.finish(
     title="all children of the scene",
     legend={"loc": "upper left"},
 )
-lessons.show(figure, "03_opacity_and_masking")
+figures.show(figure, "03_opacity_and_masking")
 
 # %% [markdown]
 # ## Backward by hand
@@ -416,7 +417,7 @@ def strict_masking(tau_alpha, **given):
 
 
 lessons.passes("opacity", "masking", "mlp")
-lessons.caught(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")
+lessons.check_mistake(strict_masking, "masking", "at_the_threshold", "alpha > tau_alpha")
 
 # %% [markdown]
 # ## For ports
@@ -444,7 +445,7 @@ assert abs(stable[-1] / exact[-1] - 1) < 1e-5
 
 # %%
 figure, ax = plt.subplots(figsize=(9, 5))
-red = lessons.COLORS[1]
+red = figures.COLORS[1]
 ax.semilogy(
     reach,
     exact,
@@ -455,7 +456,7 @@ ax.semilogy(
 ax.semilogy(
     reach,
     stable,
-    color=lessons.COLORS[0],
+    color=figures.COLORS[0],
     label=r"$4e/(1+e)^2$, single precision",
 )
 not_stuck = textbook > 0
@@ -468,18 +469,18 @@ ax.axvline(
     ls="--",
     label="exactly 0 from here on",
 )
-lessons.finish(
+figures.finish(
     ax,
     xlabel=r"output of the network $\psi_\alpha$",
     ylabel=r"slope $\partial\alpha/\partial\psi_\alpha$",
     title=r"$1 - \alpha^2$ switches the gradient off, $4e/(1+e)^2$ does not",
     title_size=15,
 )
-lessons.label(
+figures.label(
     ax,
     (22, 1e-25),
     (23.5, 1e-18),
     (0, 1e-14),
     (10, 1e-3),
 )
-lessons.show(figure, "03_opacity_and_masking_slope")
+figures.show(figure, "03_opacity_and_masking_slope")

@@ -15,9 +15,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("04_color_rotation_scale")
 rng = np.random.default_rng(4)
 
@@ -33,7 +34,7 @@ from p4dgs_ref.equations import anchor_network, color, rotation, scale, view
 from p4dgs_ref.scenes import simulator
 from p4dgs_ref.splatting import render
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 anchors, networks = model.anchors, model.networks
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 gaussians = model.gaussians(None, camera)
@@ -63,7 +64,7 @@ for ax, (title, changed) in zip(axes, as_it_comes.items()):
     near = show.enlarged(camera, 8)
     (image, *_), _ = render.forward(*drawn, near, model.background, show.FAST, keep=False)
     show.picture(ax, np.clip(image, 0, 1), camera, title=title, **tour.VIEW)
-lessons.show(figure, "04_color_rotation_scale_raw")
+figures.show(figure, "04_color_rotation_scale_raw")
 
 # %% [markdown]
 # ## Claim
@@ -135,7 +136,7 @@ for ax, a, edge in zip(axes, (thread.index, tour.FAMILY), (thread.color, "k")):
     x, y = own[0]
     ax.set(xlim=(x - 11, x + 11), ylim=(y + 11, y - 11), title=f"anchor {a}", aspect="equal")
     ax.set(xlabel="column (pixels)", ylabel="row (pixels)")
-lessons.show(
+figures.show(
     figure,
     "04_color_rotation_scale",
     title="Children have their own colours and rotations, and are smaller than their anchor",
@@ -399,7 +400,7 @@ def real_part_last(**inputs):
 
 
 lessons.passes("color", "rotation", "scale")
-lessons.caught(real_part_last, "rotation", "(x, y, z, w)")
+lessons.check_mistake(real_part_last, "rotation", "(x, y, z, w)")
 
 # %% [markdown]
 # ## For ports

@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("05_positional_encoding_and_deformation")
 rng = np.random.default_rng(5)
 
@@ -34,7 +35,7 @@ from p4dgs_ref.equations import deformation
 from p4dgs_ref.scenes import simulator
 from p4dgs_ref.training.parameters import Adam, Parameters, random_layers
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 canonical = model.gaussians(None, camera).x.astype(float)
 motion = {t: model.gaussians(t, camera).x - canonical for t in np.linspace(0, 1, 11)}
@@ -81,7 +82,7 @@ figure, axes = plt.subplots(1, 3, figsize=(12, 3.7), layout="constrained")
 for ax, (title, of_field), off in zip(axes, shown.items(), misses):
     image = show.frame(of_field, camera, 0.3)
     show.picture(ax, image, camera, title=f"{title}\noff by {off:.4f} scene units", **tour.VIEW)
-lessons.show(figure, "05_positional_encoding_and_deformation_raw")
+figures.show(figure, "05_positional_encoding_and_deformation_raw")
 
 # %% [markdown]
 # ## Claim
@@ -234,14 +235,14 @@ for path in show.to_pixels(paths, camera).swapaxes(0, 1):
 right.plot(time, height, color=thread.color, lw=9, alpha=0.4, label=f"child {thread.child}")
 for L, (curve, error) in fits.items():
     right.plot(time, curve, label=f"$L_t = {L}$, rms error {error:.3f}")
-lessons.finish(
+figures.finish(
     right,
     xlabel="time $t$",
     ylabel="height (scene units)",
     title=f"the height of child {thread.child}, as sums of waves",
     legend={"fontsize": 11},
 )
-lessons.show(figure, "05_positional_encoding_and_deformation")
+figures.show(figure, "05_positional_encoding_and_deformation")
 
 # %% [markdown]
 # ## Backward by hand
@@ -516,4 +517,4 @@ def interleaved(p, L):
 
 
 lessons.passes("positional_encoding", "deformation")
-lessons.caught(interleaved, "positional_encoding", "sin x, cos x, sin y")
+lessons.check_mistake(interleaved, "positional_encoding", "sin x, cos x, sin y")

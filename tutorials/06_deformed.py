@@ -13,9 +13,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("06_deformed")
 rng = np.random.default_rng(6)
 
@@ -28,7 +29,7 @@ rng = np.random.default_rng(6)
 # %%
 from p4dgs_ref.scenes import simulator
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 
 # %%
@@ -42,7 +43,7 @@ for column, t in zip(axes.T, (0, 0.25, 0.5)):
         show.ellipses(ax, mean2d, cov2d, fc="none", ec=thread.color, lw=2)
     column[0].set_title(f"t = {t}: $x + \\Delta x$")
     column[1].set_title("$x$ alone")
-lessons.show(figure, "06_deformed", title="Anchor 29 at three times, and at rest")
+figures.show(figure, "06_deformed", title="Anchor 29 at three times, and at rest")
 
 # %% [markdown]
 # ## Claim
@@ -312,5 +313,5 @@ def unnormalised(r, delta_r, **others):
 
 
 lessons.passes("deformed")
-lessons.caught(logarithmic, "deformed", "exp(delta_s)")
-lessons.caught(unnormalised, "deformed", "not of unit length")
+lessons.check_mistake(logarithmic, "deformed", "exp(delta_s)")
+lessons.check_mistake(unnormalised, "deformed", "not of unit length")

@@ -16,9 +16,10 @@ from scipy.special import ndtr
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("07_noise_and_rounding")
 rng = np.random.default_rng(7)
 
@@ -35,7 +36,7 @@ rng = np.random.default_rng(7)
 # %%
 from p4dgs_ref.scenes import simulator
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 camera = simulator.camera_at(tour.SCENE, *np.radians((60, 26)))
 context = show.context_at(model, model.anchors.x_a[[thread.index]])
 features, symbols_29 = model.anchors.f_a[thread.index], tour.FILE.symbols[thread.index, :16]
@@ -59,9 +60,9 @@ averaged = np.convolve(unrounded, np.ones(11) / 11, "valid")  # over one step
 # %%
 figure, ax = plt.subplots(figsize=(9, 4.6))
 ax.plot(steps_away, 1e6 * unrounded, color="0.7", lw=6, label="as it is")
-ax.plot(steps_away, 1e6 * rounded, color=lessons.COLORS[1], drawstyle="steps-mid", label="rounded")
-ax.plot(steps_away[5:-5], 1e6 * averaged, color=lessons.COLORS[0], label="mean over noise")
-lessons.finish(
+ax.plot(steps_away, 1e6 * rounded, color=figures.COLORS[1], drawstyle="steps-mid", label="rounded")
+ax.plot(steps_away[5:-5], 1e6 * averaged, color=figures.COLORS[0], label="mean over noise")
+figures.finish(
     ax,
     xlabel="a feature of anchor 29 minus its value in the file (steps $q$)",
     ylabel="change of the picture\n(mean square, $10^{-6}$)",
@@ -69,7 +70,7 @@ lessons.finish(
     title="Rounding is a staircase",
     legend={},
 )
-lessons.show(figure, "07_noise_and_rounding_staircase")
+figures.show(figure, "07_noise_and_rounding_staircase")
 
 # %% [markdown]
 # ## Claim
@@ -211,22 +212,22 @@ left.errorbar(
 )
 for i, symbol in enumerate(symbols_29):
     left.annotate(f"{symbol}", (i, features[i]), (6, 6), textcoords="offset points")
-lessons.finish(
+figures.finish(
     left,
     xlabel="feature of anchor 29",
     ylabel="value (units of the feature)",
     title=f"integers, times q = {q_29:.3f}, and the reach of noise",
 )
-right.plot(line, probability(line), color=lessons.COLORS[0])
-right.plot(bins, probability(bins), "o", color=lessons.COLORS[1])
+right.plot(line, probability(line), color=figures.COLORS[0])
+right.plot(bins, probability(bins), "o", color=figures.COLORS[1])
 right.plot(7, probability(7), "o", ms=13, color=thread.color)
-lessons.finish(
+figures.finish(
     right,
     xlabel="value of its fifth feature (steps $q$)",
     ylabel="probability of one step",
     title="one curve for noisy values and for rounded ones",
 )
-lessons.show(figure, "07_noise_and_rounding")
+figures.show(figure, "07_noise_and_rounding")
 
 # %% [markdown]
 # ## Backward by hand
@@ -344,7 +345,7 @@ def half_up(f, q):
     return symbols, symbols * q
 
 
-lessons.caught(half_up, "rounding", "rounding/ties", "rounded up instead of to even")
+lessons.check_mistake(half_up, "rounding", "rounding/ties", "rounded up instead of to even")
 
 # %% [markdown]
 # ## What a codec does with it

@@ -17,9 +17,10 @@ from scipy.special import expit as sigmoid
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("08_step")
 rng = np.random.default_rng(8)
 
@@ -34,7 +35,7 @@ rng = np.random.default_rng(8)
 # 29* is purple, as in all tutorials.
 
 # %%
-model, camera, thread = tour.MODEL, tour.CAMERA, lessons.THREAD
+model, camera, thread = tour.MODEL, tour.CAMERA, figures.THREAD
 
 
 def rounded(anchors):
@@ -62,7 +63,7 @@ right.set(
     ylabel="squared error in the picture",
     title="what the rounding of a single anchor costs",
 )
-lessons.show(figure, "08_step_one_for_all")
+figures.show(figure, "08_step_one_for_all")
 
 # %% [markdown]
 # ## Claim
@@ -143,7 +144,7 @@ ax.set(
     ylabel="$q / Q_0$",
     title="Eq. (8), and the four steps of anchor 29",
 )
-lessons.show(figure, "08_step")
+figures.show(figure, "08_step")
 
 # %% [markdown]
 # ## Backward by hand
@@ -209,7 +210,7 @@ def half_argument(h, weights, biases, Q_0):
 twice_weights = [weights[0], 2 * weights[1]]
 twice_biases = [biases[0], 2 * biases[1]]
 assert close(half_argument(h, twice_weights, twice_biases, Q_0), q)
-lessons.caught(half_argument, "step", "2 psi_q")
+lessons.check_mistake(half_argument, "step", "2 psi_q")
 
 # %% [markdown]
 # ## What a codec does with it
@@ -252,7 +253,7 @@ for ax, group, name in zip(panels, (0, 3), ("features", "offsets")):
         ylabel="$q / Q_0$",
         title=f"steps of {name}: rank correlation {ranks[group]:+.2f}",
     )
-lessons.show(figure, "08_step_seen")
+figures.show(figure, "08_step_seen")
 
 # %% [markdown]
 # The steps of features, offset scaling and offsets are wider where an anchor is seldom seen: in the
@@ -432,7 +433,7 @@ ax.set(
     title="The printed form loses every digit, the sigmoid form none",
 )
 ax.legend(fontsize=11, loc=(0.02, 0.1))
-lessons.show(figure, "08_step_digits")
+figures.show(figure, "08_step_digits")
 
 # %% [markdown]
 # In the backward, the code computes $1-g$ as $\mathrm{sigmoid}(-2\psi_q)$, which keeps all its

@@ -14,9 +14,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("09_hash_grid")
 rng = np.random.default_rng(9)
 
@@ -36,7 +37,7 @@ rng = np.random.default_rng(9)
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.report.inspect import float_context
 
-model, thread, j = tour.MODEL, lessons.THREAD, 14
+model, thread, j = tour.MODEL, figures.THREAD, 14
 context, numbers = float_context(model), model.anchors.f_a
 mu, sigma = (values[:, : model.design.d] for values in context[1:])
 q = np.repeat(context.q[:, :1], model.design.d, axis=1)
@@ -62,7 +63,7 @@ places = right.scatter(*model.anchors.x_a.T[:2], c=numbers[:, j], cmap="PuOr")
 right.plot(*model.anchors.x_a[thread.index, :2], "s", ms=12, mfc="none", mec=thread.color, mew=3)
 right.set(xlabel="x (scene units)", ylabel="y (scene units)", title="the same number in space")
 figure.colorbar(places, ax=right)
-lessons.show(figure, "09_without_context")
+figures.show(figure, "09_without_context")
 
 # %% [markdown]
 # ## Claim
@@ -125,7 +126,7 @@ assert grid_nodes.table_rows(corner, cell, 20, 11)[0, 0] == 2  # 20^2 nodes, 11 
 # then the product of this matrix and the signs. Each row adds up to 1, so $|h| \le 1$.
 
 # %%
-from p4dgs_ref.lessons import close, moved
+from p4dgs_ref.lessons import close, shift
 
 # paper, Sec. 3.3: one grid in space, three in planes, of signs
 # silent: Q11, how many nodes, how they are interpolated and hashed, and in which order
@@ -178,7 +179,7 @@ names = [f"{axes}, {i}" for axes, _ in model.design.grid for i in (1, 2)]
 right.barh(names, h_29[0], color=thread.color)
 right.invert_yaxis()
 right.set(title="$h$ of anchor 29", xlim=(-1.1, 1.1))
-lessons.show(figure, "09_hash_grid")
+figures.show(figure, "09_hash_grid")
 
 # %% [markdown]
 # ## Backward by hand
@@ -247,7 +248,7 @@ for _ in range(500):
     error = h_now @ mean_over_levels - targets
     losses.append(np.mean(error**2))
     gradients = hash_grid.backward(saved_now, error @ mean_over_levels.T)["grids"]
-    learned = moved(learned, gradients, -0.05)
+    learned = shift(learned, gradients, -0.05)
 print(f"mean squared error: {losses[0]:.3f} at the start, {losses[-1]:.3f} after training")
 assert losses[-1] < losses[0] / 10
 

@@ -17,9 +17,10 @@ from scipy.special import erfcx, ndtr
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("10_prior_and_likelihood")
 rng = np.random.default_rng(10)
 
@@ -39,7 +40,7 @@ rng = np.random.default_rng(10)
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.report.inspect import float_context
 
-model, thread = tour.MODEL, lessons.THREAD
+model, thread = tour.MODEL, figures.THREAD
 context, d = float_context(model), model.design.d  # d numbers of a feature
 steps = context.q[:, :1]
 means, deviations = context.mu[:, :d] / steps, context.sigma[:, :d] / steps
@@ -67,7 +68,7 @@ right.semilogy(powers, whole / 8, "o-", color=show.GREY, label="features of the 
 right.semilogy(powers, own / 8, "o-", color=thread.color, label=f"those of {thread.name}")
 right.set(xlabel="all widths times 2 to the power", ylabel="bytes", title="too narrow, too wide")
 right.legend()
-lessons.show(figure, "10_wrong_width")
+figures.show(figure, "10_wrong_width")
 
 # %% [markdown]
 # ## Claim
@@ -126,7 +127,7 @@ for ax, j in zip(panels, (14, 13)):
         ylabel="density (per step)",
         title=f"symbol {symbol:.0f}: {costs[3, thread.index, j]:.1f} bits",
     )
-lessons.show(figure, "10_areas")
+figures.show(figure, "10_areas")
 
 # %% [markdown]
 # ## In code
@@ -141,7 +142,7 @@ lessons.show(figure, "10_areas")
 # %%
 from p4dgs_ref.equations import mlp, prior
 from p4dgs_ref.lab.random_inputs import random_network
-from p4dgs_ref.lessons import close, inner, moved
+from p4dgs_ref.lessons import close, inner, shift
 
 # paper, Sec. 3.3: the mean and the deviation of a normal distribution, by a network of h
 # silent: Q8, the deviation is exp of an output, which is clamped
@@ -221,8 +222,8 @@ assert close(ours["sigma"], factor * (z * slope_z + w * slope_w), 1e-11)
 
 inputs = {"f_noisy": f, "mu": mu, "sigma": sigma, "q": q}
 direction = {name: 0.1 * sigma * rng.normal(size=(A, n)) for name in inputs}
-up, _ = likelihood.forward(**moved(inputs, direction, 1e-5))
-down, _ = likelihood.forward(**moved(inputs, direction, -1e-5))
+up, _ = likelihood.forward(**shift(inputs, direction, 1e-5))
+down, _ = likelihood.forward(**shift(inputs, direction, -1e-5))
 difference = inner(bits_bar, up - down) / 2e-5
 gradient = inner(ours, direction)
 assert close(difference, gradient, 1e-7)
@@ -514,7 +515,7 @@ digits.set(
 )
 tails.legend(fontsize=11)
 digits.legend(fontsize=11)
-lessons.show(figure, "10_prior_and_likelihood")
+figures.show(figure, "10_prior_and_likelihood")
 
 # %% [markdown]
 # The golden vectors find both mistakes, the floor and the printed formula. Both fail in the tails

@@ -15,9 +15,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("11_rate")
 rng = np.random.default_rng(11)
 
@@ -46,7 +47,7 @@ for sizes, color, height in ((free, show.PALE, 0.8), (rated, show.RATE, 0.4)):
     ax.barh(COUNTED, [sizes[name] for name in COUNTED], height, color=color)
 ax.invert_yaxis()
 ax.set(xlabel="bytes in the file", title="pale: trained without the rate, pink: with it")
-lessons.show(figure, "11_without_rate")
+figures.show(figure, "11_without_rate")
 
 # %% [markdown]
 # ## Claim
@@ -79,7 +80,7 @@ print(f"{by_hand:.3f} bits")
 
 # %%
 from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
-from p4dgs_ref.lessons import close, inner, moved, random_like
+from p4dgs_ref.lessons import close, inner, random_like, shift
 
 # paper, Sec. 3.3: the sum of the bits of f, O, l and s over all anchors, and those of the grid
 # silent: Q12, divided by the number of parameters; Q15, masked offsets cost nothing
@@ -157,7 +158,7 @@ ours = anchor_rate.backward(anchor_saved, R_anchor_bar)
 assert (ours["bits_O"][mask] == R_anchor_bar).all()
 assert (ours["bits_O"][~mask] == 0).all()
 move = random_like(rng, bits)
-moved, _ = anchor_rate.forward(**moved(bits, move, 1), mask=mask)  # linear: any step
+moved, _ = anchor_rate.forward(**shift(bits, move, 1), mask=mask)  # linear: any step
 change = R_anchor_bar * (moved - R_anchor)
 assert close(change, inner(ours, move), 1e-10)
 
@@ -225,7 +226,7 @@ assert not hash_gradients([theta], 1.0)[0].any()
 # position, three times 16 bits, these are some 24 bytes.
 
 # %%
-thread = lessons.THREAD
+thread = figures.THREAD
 bits_29 = symbol_bits(tour.FILE)[thread.index]
 of_groups = np.split(bits_29, np.cumsum(tour.DESIGN.widths)[:-1])
 for name, group in zip("fslO", of_groups):
@@ -259,7 +260,7 @@ for name, group, alpha in zip(IN_13, of_groups, (1, 0.5, 0.3, 0.8)):
     start += len(group)
 axes["bits"].set(xlabel="number", ylabel="bits", title="the bits of anchor 29")
 axes["bits"].legend(fontsize=11)
-lessons.show(figure, "11_rate")
+figures.show(figure, "11_rate")
 
 # %% [markdown]
 # ## Break it
@@ -277,7 +278,7 @@ def multiplied(bits_f, bits_O, bits_l, bits_s, mask):
 
 assert close(multiplied(**bits, mask=mask), R_anchor)
 with np.errstate(invalid="ignore"):
-    lessons.caught(multiplied, "anchor_rate", "infinite_behind_the_mask")
+    lessons.check_mistake(multiplied, "anchor_rate", "infinite_behind_the_mask")
 
 # %% [markdown]
 # ## What a codec does with it

@@ -18,9 +18,10 @@ from scipy.ndimage import gaussian_filter
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, show, tour
+lessons.find_tools()
+from tutorials.tools import architecture, figures, show, tour
 
+plt = figures.pyplot()
 architecture.show("12_losses")
 rng = np.random.default_rng(12)
 
@@ -41,7 +42,7 @@ for ax, title in zip(axes, titles):
     data = tour.DATA if title == "the demo" else tour.place_of(title).read_bytes()
     place = tour.CAMERA, tour.T, tour.TRUTH, tour.VIEW
     show.scored_picture(ax, decode(data), data, *place, title)
-lessons.show(figure, "12_losses_prices")
+figures.show(figure, "12_losses_prices")
 
 # %% [markdown]
 # ## Claim
@@ -98,7 +99,7 @@ ax.plot(
     color="0.6",
     label="one step q each",
 )
-for (price, i), color in zip(best.items(), lessons.COLORS):
+for (price, i), color in zip(best.items(), figures.COLORS):
     reach = rate[i] + np.array([-0.8, 0.8])
     line = distortion[i] - price * (reach - rate[i])
     ax.plot(
@@ -121,7 +122,7 @@ ax.set(
     title=r"$\lambda_{rate}$ chooses the point that a line of slope $-\lambda$ touches",
 )
 ax.legend()
-lessons.show(figure, "12_losses_rate")
+figures.show(figure, "12_losses_rate")
 
 # %% [markdown]
 # The same in real bytes, from `27_rate_distortion`: four trainings of the demo's scene from one
@@ -249,7 +250,7 @@ for column, (name, image) in enumerate(images.items(), 1):
     )
     panels[1, column].set_title("descent direction")
 for ax in panels.ravel():
-    lessons.finish(
+    figures.finish(
         ax,
         xticks=[0, 25, 50],
         yticks=[0, 25],
@@ -262,7 +263,7 @@ figure.colorbar(
     label="pixel should become brighter (+) or darker (-)",
     shrink=0.9,
 )
-lessons.show(
+figures.show(
     figure,
     "12_losses",
     title=r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM",
@@ -373,7 +374,7 @@ inside = np.s_[5:-5, :, 5:-5]
 assert close(with_zeros[inside], without[inside], 1e-9)
 print(f"SSIM with zeros {with_zeros.mean():.3f}, with a cut window {without.mean():.3f}")
 assert with_zeros.mean() - without.mean() > 0.05
-lessons.caught(mean_of_renormalised, "ssim", "ssim-renormalised")
+lessons.check_mistake(mean_of_renormalised, "ssim", "ssim-renormalised")
 
 # %% [markdown]
 # ## What this idea buys

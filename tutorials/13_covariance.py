@@ -12,9 +12,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("13_covariance")
 rng = np.random.default_rng(13)
 turn = np.linspace(0, 2 * np.pi, 90)
@@ -81,9 +82,9 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
     half = np.radians(degrees) / 2
     w, z = np.cos(half), np.sin(half)
     M = flat_rotation(w, z) @ np.diag([3, 1])
-    ax.fill(*(M @ circle), color=lessons.COLORS[5], alpha=0.35)
+    ax.fill(*(M @ circle), color=figures.COLORS[5], alpha=0.35)
     for j in range(2):
-        color = lessons.COLORS[j]
+        color = figures.COLORS[j]
         arrow = {"arrowstyle": "-|>", "lw": 3, "color": color}
         ax.annotate("", M[:, j], (0, 0), arrowprops=arrow)
     (a, b), (_, c) = M @ M.T
@@ -98,8 +99,8 @@ for ax, degrees in zip(panels, (0, 30, 60, 90)):
 panels[0].set_ylabel("y (scene units)")
 for j, height in enumerate((-2.4, 1.4)):
     column = f"column {j + 1} of RS,\nlength $s_{j + 1}$"
-    panels[0].text(-2.8, height, column, color=lessons.COLORS[j])
-lessons.show(
+    panels[0].text(-2.8, height, column, color=figures.COLORS[j])
+figures.show(
     figure,
     "13_covariance",
     title=r"The quaternion contains half the angle; $\Sigma$ = [[a, b], [b, c]] contains b twice",
@@ -333,7 +334,7 @@ left.plot(
     lw=3,
     label="target",
 )
-for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
+for step, color in zip((0, 5, 8, 12, 149), figures.COLORS):
     left.plot(*outline(shapes[step]), color=color)
     right.semilogy(
         step,
@@ -343,14 +344,14 @@ for step, color in zip((0, 5, 8, 12, 149), lessons.COLORS):
         color=color,
     )
     right.text(step + 4, losses[step], f"after {step} steps", color=color, va="center")
-lessons.finish(
+figures.finish(
     left,
     xlabel="x (scene units)",
     ylabel="y (scene units)",
     aspect="equal",
     title="The Gaussian, seen along z (1 sigma)",
 )
-lessons.label(left, (-0.2, 0))
+figures.label(left, (-0.2, 0))
 right.semilogy(losses, color="0.4", zorder=0)
 right.set(
     xlim=(-6, 205),
@@ -358,7 +359,7 @@ right.set(
     ylabel="scene units$^4$",
     title=r"The loss $\frac{1}{2}\|\Sigma-\Sigma^*\|^2$",
 )
-lessons.show(
+figures.show(
     figure,
     "13_covariance_descent",
     title=r"$\bar s$ and $\bar r$ rotate and stretch one Gaussian into another",
@@ -379,7 +380,7 @@ def real_part_last(s, r):
 
 wrong = np.linalg.eigvalsh(real_part_last(s, r))
 assert close(wrong, np.linalg.eigvalsh(Sigma))
-lessons.caught(real_part_last, "covariance", "covariance-real-last")
+lessons.check_mistake(real_part_last, "covariance", "covariance-real-last")
 
 # %% [markdown]
 # Another mistake is to count only one of the two factors $M$ in the backward. Each gradient is then

@@ -14,9 +14,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("14_projection")
 rng = np.random.default_rng(14)
 inner = lessons.inner
@@ -84,8 +85,8 @@ figure, (above, on_row) = plt.subplots(
     layout="constrained",
 )
 for name, mean, deviation, color in (
-    ("far", (1.0, 4.0), (0.2, 0.4), lessons.COLORS[0]),
-    ("near", (-0.4, 1.0), (0.1, 0.3), lessons.COLORS[1]),
+    ("far", (1.0, 4.0), (0.2, 0.4), figures.COLORS[0]),
+    ("near", (-0.4, 1.0), (0.1, 0.3), figures.COLORS[1]),
 ):
     x, z = (mean + rng.normal(size=(20_000, 2)) * deviation).T
     u_mean = pixel(*mean)
@@ -127,22 +128,22 @@ above.plot(
     "k-",
     lw=1,
 )
-lessons.finish(
+figures.finish(
     above,
     xlabel="x (scene units)",
     ylabel="depth z (scene units)",
     xlim=(-2.4, 2.4),
     title="From above",
 )
-lessons.finish(
+figures.finish(
     on_row,
     xlabel="pixel u",
     ylabel="density (1/pixel)",
     xlim=(-90, 80),
     title="On the row of pixels",
 )
-lessons.label(on_row, (-12, 0.07), (-85, 0.025))
-lessons.show(
+figures.label(on_row, (-12, 0.07), (-85, 0.025))
+figures.show(
     figure,
     "14_projection_line",
     title="The projection is accurate far from the camera and poor close to it",
@@ -220,14 +221,14 @@ ax.axvspan(
     color="0.9",
 )
 ax.text(0.2, 24, "inside\nthe image", ha="center")
-lessons.finish(
+figures.finish(
     ax,
     xlabel="x/z, how far to the side",
     ylabel="standard deviation in u (pixels)",
     title="The clamp keeps Gaussians beside the image small",
 )
-lessons.label(ax, (0.95, 19.5), (1.8, 10.6))
-lessons.show(figure, "14_projection_clamp")
+figures.label(ax, (0.95, 19.5), (1.8, 10.6))
+figures.show(figure, "14_projection_clamp")
 
 # %% [markdown]
 # ## Backward by hand
@@ -314,7 +315,7 @@ for (name, step), bar in (back_along | ends).items():
         )
 ax.set(xlim=(-0.6, 15.6), ylim=(-1.6, 5.8))
 ax.axis("off")
-lessons.show(
+figures.show(
     figure,
     "14_projection_graph",
     title="The flat example: values (blue, above an edge) and gradients (red, below it)",
@@ -534,7 +535,7 @@ left.set_ylabel("depth z (scene units)")
 left.text(0.2, -0.05, "camera")
 left.text(1.3, 4.05, "Gaussian", color="0.4")
 left.text(1.3, 1.3, "its gradient\n$\\bar x$", color="C0")
-lessons.show(
+figures.show(
     figure, "14_projection", title="How cotangents in the image move a Gaussian, seen from above"
 )
 
@@ -578,7 +579,9 @@ def outputs_of_projection(**inputs):
     return projection.forward(**inputs)[0]
 
 
-lessons.caught(outputs_of_projection, "projection", "one of its two places", vjp=without_doubling)
+lessons.check_mistake(
+    outputs_of_projection, "projection", "one of its two places", vjp=without_doubling
+)
 
 # %% [markdown]
 # ## What a codec does with it

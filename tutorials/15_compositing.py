@@ -13,9 +13,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("15_compositing")
 rng = np.random.default_rng(15)
 h = 1e-6  # step of finite differences
@@ -76,12 +77,12 @@ light.bar(range(4), T, color="0.85")
 light.bar(
     range(4),
     [*weight, T[3]],
-    color=lessons.COLORS[0],
+    color=figures.COLORS[0],
     width=0.6,
 )
 light.text(0.5, 0.8, "light that arrives, $T_i$", color="0.4")
-light.text(0.5, 0.7, r"light that is used, $\alpha_i T_i$", color=lessons.COLORS[0])
-lessons.finish(
+light.text(0.5, 0.7, r"light that is used, $\alpha_i T_i$", color=figures.COLORS[0])
+figures.finish(
     light,
     xticks=range(4),
     xticklabels=["layer 0", "layer 1", "layer 2", "background"],
@@ -93,7 +94,7 @@ over.plot(
     behind[::-1],
     "o-",
     ms=11,
-    color=lessons.COLORS[1],
+    color=figures.COLORS[1],
     label="$B_i$, the colour behind layer i",
 )
 over.plot(
@@ -101,7 +102,7 @@ over.plot(
     gray,
     "s",
     ms=11,
-    color=lessons.COLORS[2],
+    color=figures.COLORS[2],
     label="$c_i$, the layer's own gray",
 )
 over.annotate(
@@ -110,7 +111,7 @@ over.annotate(
     (-0.95, 0.3),
     arrowprops=dict(arrowstyle="->"),
 )
-lessons.finish(
+figures.finish(
     over,
     xticks=range(-1, 3),
     xlabel="layer",
@@ -118,8 +119,8 @@ lessons.finish(
     title="From the back: what is seen",
     ylim=(-0.1, 1.15),
 )
-lessons.label(over, (0.05, 0.85), (0.1, 0.06))
-lessons.show(
+figures.label(over, (0.05, 0.85), (0.1, 0.06))
+figures.show(
     figure, "15_compositing_pixel", title="One pixel, three layers: two ways to the same value"
 )
 
@@ -374,7 +375,7 @@ figure, panels = plt.subplots(
 names = ("as it is", "as it should be", "pull at the front splat", "pull at the back splat")
 for ax, picture, name in zip(panels.flat, (seen, target, *pulls), names):
     shown = ax.imshow(picture, cmap="PuOr", vmin=-0.6, vmax=0.6)
-    lessons.finish(ax, title=name, grid=False)
+    figures.finish(ax, title=name, grid=False)
 for ax, mean, mean_bar, k in zip(panels[1], pair["mean2d"], bars["mean2d"], sharpness):
     ax.add_patch(
         plt.Circle(
@@ -398,7 +399,7 @@ figure.supylabel("v (pixels)")
 figure.colorbar(
     shown, ax=panels[1], label=r"$-\bar\alpha_i(p)$: more (+) or less", location="right"
 )
-lessons.show(
+figures.show(
     figure,
     "15_compositing",
     title="Every pixel pulls on every splat that covers it\n"
@@ -507,14 +508,14 @@ ax.semilogy(errors["by_kernel_of_3dgs"], "x", ms=7, label="sweep and $T_i$ by di
 ax.semilogy(errors["by_subtraction"], "s--", ms=4, label=r"division, $S_i = C - \dots$")
 ax.axvline(10, color="0.6", lw=1, label="opacity 0.99")
 ax.axvline(25, color="0.6", lw=1)
-lessons.finish(
+figures.finish(
     ax,
     xlabel="layer, front to back",
     ylabel=r"relative error of $\bar\alpha_i$ in float32",
     title="Behind nearly opaque layers the subtraction leaves no correct digit",
     legend={"loc": "right", "fontsize": 10},
 )
-lessons.show(figure, "15_compositing_division")
+figures.show(figure, "15_compositing_division")
 
 # %% [markdown]
 # A second mistake is to forget that an opacity also *hides* what is behind it, and to write

@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("16_pipeline_by_hand")
 
 
@@ -469,13 +470,13 @@ for i, child in enumerate(moved):
     outline = root @ circle + np.array(splat(child)["mean2d"])[:, None]
     scene.plot(*outline, color=f"C{i + 1}", label=f"child {i}")
 scene.plot(*p, "s", ms=11, mfc="none", mec="k", mew=2.5)
-lessons.finish(
+figures.finish(
     scene,
     xlabel="u (pixels)",
     ylabel="v (pixels)",
     title="Our anchor's two children at t = 0.5 (1 sigma)",
 )
-lessons.label(scene, (22, 15), (6, 21))
+figures.label(scene, (22, 15), (6, 21))
 scene.text(17, 8, "our pixel")
 bottom = np.zeros(3)
 looks = (
@@ -496,7 +497,7 @@ for (weight, color), (name, hatch, paint, ink) in zip(parts, looks):
     bars.text(2.5, bottom[2] + height[2] / 2, name, color=ink, va="center")
     bottom += height
 bars.grid(axis="x", visible=False)
-lessons.finish(
+figures.finish(
     bars,
     xticks=range(3),
     xticklabels=["red", "green", "blue"],
@@ -505,7 +506,7 @@ lessons.finish(
     xlim=(-0.5, 3.5),
     ylim=(0, 0.7),
 )
-lessons.show(figure, "16_pipeline_by_hand")
+figures.show(figure, "16_pipeline_by_hand")
 
 # %% [markdown]
 # ## Backward by hand

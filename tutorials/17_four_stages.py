@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show(
     "17_four_stages",
     "deformation",
@@ -175,14 +176,14 @@ for name, shade, start, end in zip(names, ("0.93", "0.85") * 2, (0, *ends), ends
 top.plot(iteration, decibel, ".", ms=3, color="0.4", label="one training view")
 top.plot(iteration[14:], smooth(decibel), color="C0", label="mean of 15")
 top.plot(ends, scores, "D", ms=10, color="C1", ls="none", label="test views")
-lessons.finish(
+figures.finish(
     top,
     ylabel="PSNR (dB)",
     xlim=(0, 540),
     ylim=(10, 28.5),
     title="Each stage switches something on; the rate exists only in the last",
 )
-lessons.label(
+figures.label(
     top,
     (335, 20.5),
     (115, 22.6),
@@ -194,7 +195,7 @@ low.set(
     ylabel="bits per number",
     ylim=(0, None),
 )
-lessons.show(figure, "17_four_stages_curve")
+figures.show(figure, "17_four_stages_curve")
 
 # %% [markdown]
 # The next figure shows one test view after each stage. As long as the model knows no time, a
@@ -224,7 +225,7 @@ panels[4].imshow(view.image)
 panels[4].set_title("truth")
 for ax in panels:
     ax.axis("off")
-lessons.show(
+figures.show(
     figure,
     "17_four_stages",
     title=f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",

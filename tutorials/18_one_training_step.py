@@ -14,9 +14,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("18_one_training_step", "noise", "render_loss", "rate_loss", "total_loss")
 
 # %% [markdown]
@@ -303,24 +304,24 @@ for ax, array, label in maps:
     shown = ax.imshow(array, cmap="PuOr", vmin=-limit, vmax=limit)
     figure.colorbar(shown, ax=ax, label=label)
 for ax in (seen, red_error, pull):
-    ax.plot(column, row, "s", ms=12, mfc="none", mec=lessons.COLORS[1], mew=2.5)
-    lessons.finish(
+    ax.plot(column, row, "s", ms=12, mfc="none", mec=figures.COLORS[1], mew=2.5)
+    figures.finish(
         ax,
         xlabel="u (pixels)",
         ylabel="v (pixels)",
         grid=False,
     )
 lengths = [1e3 * part for part in parts.values()]
-made_of.barh(list(parts), lengths, color=lessons.COLORS[:4])
+made_of.barh(list(parts), lengths, color=figures.COLORS[:4])
 made_of.axvline(1e3 * move, color="k", ls="--", label="the whole move")
 made_of.invert_yaxis()
-lessons.finish(
+figures.finish(
     made_of,
     title="The four parts of the feature's move",
     xlabel="change of the feature, $10^{-3}$",
 )
-lessons.label(made_of, (1e3 * move - 0.01, 3.4), ha="right")
-lessons.show(figure, "18_one_training_step")
+figures.label(made_of, (1e3 * move - 0.01, 3.4), ha="right")
+figures.show(figure, "18_one_training_step")
 
 # %% [markdown]
 # ## Break it

@@ -20,9 +20,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("19_file_byte_by_byte", "rounding", "entropy_coder", "file")
 
 # %% [markdown]
@@ -197,7 +198,7 @@ for i, width in enumerate(widths_of_blocks):
     print(f"    symbol {table.lowest[0] + i}: {width} of {2**24} slots")
 
 # %%
-shades = np.array([plt.matplotlib.colors.to_rgb(lessons.COLORS[i % 6]) for i in range(len(parts))])
+shades = np.array([plt.matplotlib.colors.to_rgb(figures.COLORS[i % 6]) for i in range(len(parts))])
 strength = np.repeat((0.35, 0.75, 0.15), 6)[: len(parts), None]
 shades = 1 - strength * (1 - shades)
 figure, (plan, words) = plt.subplots(
@@ -210,7 +211,7 @@ figure, (plan, words) = plt.subplots(
 plan.imshow(np.repeat(shades, sizes, axis=0).reshape(35, 28, 3), extent=(0, 28, 35, 0))
 plan.set_xticks(np.arange(1, 28), [], minor=True)
 plan.set_yticks(np.arange(1, 35), [], minor=True)
-lessons.finish(
+figures.finish(
     plan,
     xticks=[],
     yticks=np.arange(0, 35, 5),
@@ -227,7 +228,7 @@ for i, (name, size) in enumerate(parts):
     words.add_patch(plt.Rectangle((0, i - 0.4), 0.7, 0.8, color=shades[i]))
     words.text(1, i, f"{name.replace('_', ' ')}, {size}", va="center", fontsize=14)
     words.text(8.3, i, first + " …" * (size > 6), va="center", family="monospace", fontsize=13)
-lessons.finish(
+figures.finish(
     words,
     frame_on=False,
     xlim=(0, 14.5),
@@ -237,7 +238,7 @@ lessons.finish(
     title="Part, its length, and its first bytes",
 )
 figure.suptitle("A model in 980 bytes; entropy coding acts only on the thin stripe in the middle")
-lessons.show(figure, "19_file_byte_by_byte")
+figures.show(figure, "19_file_byte_by_byte")
 
 # %% [markdown]
 # ## Backward by hand
@@ -303,20 +304,20 @@ axes.step(
     ls="--",
     label="length of the file, relative to the original",
 )
-lessons.finish(
+figures.finish(
     axes,
     xlabel="how far the features of anchor 7 are moved (in steps q)",
     ylabel="bits",
     title="The estimate has a slope, the file is a staircase",
 )
-lessons.label(
+figures.label(
     axes,
     (5.9, 142),
     (3.2, 92),
     (-5.4, 4),
     fontsize=11,
 )
-lessons.show(figure, "19_what_no_gradient_sees")
+figures.show(figure, "19_what_no_gradient_sees")
 
 # %% [markdown]
 # ## Break it

@@ -22,9 +22,10 @@ from matplotlib.figure import Figure
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("20_intervals_to_rans", "likelihood", "entropy_coder", "file")
 
 # %% [markdown]
@@ -141,7 +142,7 @@ print(f"they cost {ideal:.2f} bits and are sent as {number:0{bits}b}")
 # ![Every symbol narrows the interval](pictures/intervals.gif)
 
 # %%
-CHOSEN, EVEN, ODD = lessons.COLORS[1], lessons.COLORS[0], lessons.COLORS[5]
+CHOSEN, EVEN, ODD = figures.COLORS[1], figures.COLORS[0], figures.COLORS[5]
 
 
 def frame(canvas, i, lower, upper, text):
@@ -183,7 +184,7 @@ for i in range(6):
         frames.append(frame(canvas, i, left, left + width * share, text))
         last = i == 5 and step == 8
         milliseconds.append(1500 if step == 0 or last else 90)
-target = lessons.out() / "20_intervals_to_rans.gif"
+target = figures.out() / "20_intervals_to_rans.gif"
 imageio.imwrite(target, frames, duration=milliseconds, loop=0)
 
 # %% [markdown]
@@ -251,7 +252,7 @@ assert abs(reached[-1] - promised[-1]) < 0.001
 
 # %%
 figure, (shares, grid, growing) = plt.subplots(1, 3, figsize=(18, 5.5), layout="constrained")
-tint = {"a": lessons.COLORS[0], "b": lessons.COLORS[4], "c": lessons.COLORS[2]}
+tint = {"a": figures.COLORS[0], "b": figures.COLORS[4], "c": figures.COLORS[2]}
 for row, (low, width) in enumerate(narrow("acab", 4 * [P])[:-1]):
     for s, (start, p) in P.items():
         left, wide = float(low + width * start), float(width * p)
@@ -307,14 +308,14 @@ grid.set(
 )
 growing.plot(promised, lw=7, alpha=0.35, label=r"$\sum -\log_2 p$")
 growing.plot(reached, "--", color="k", label=r"growth of $\log_2 x$")
-lessons.finish(
+figures.finish(
     growing,
     xlabel="features pushed",
     ylabel="bits",
     title="The state grows by the bits that the prior predicted",
 )
-lessons.label(growing, (235, 430), (50, 560))
-lessons.show(figure, "20_intervals_to_rans")
+figures.label(growing, (235, 430), (50, 560))
+figures.show(figure, "20_intervals_to_rans")
 
 # %% [markdown]
 # **A state that fits into 64 bits.** The file uses $M = 2^{24}$ and keeps $x$ between $2^{31}$ and

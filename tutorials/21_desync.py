@@ -19,9 +19,10 @@ from scipy.special import ndtr
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, shared
+lessons.find_tools()
+from tutorials.tools import architecture, figures, shared
 
+plt = figures.pyplot()
 architecture.show("21_desync", "hash_grid", "prior", "entropy_coder")
 plt.rcParams["image.interpolation"] = "nearest"
 data = (shared.FOLDER / "demo.p4dgs").read_bytes()  # a trained model of 199 anchors
@@ -213,9 +214,9 @@ figure, (left, middle, errors) = plt.subplots(
 )
 show.picture(left, before, camera, title="What was sent")
 show.picture(middle, after, camera, title="One ulp later")
-errors.plot(np.abs(received - sent), ".", ms=3, color=lessons.COLORS[1])
-errors.axvline(victim, color=lessons.COLORS[0], label=f"one ulp in σ\nof symbol {victim}")
-lessons.finish(
+errors.plot(np.abs(received - sent), ".", ms=3, color=figures.COLORS[1])
+errors.axvline(victim, color=figures.COLORS[0], label=f"one ulp in σ\nof symbol {victim}")
+figures.finish(
     errors,
     yscale="symlog",
     ylim=(-0.3, 2000),
@@ -223,8 +224,8 @@ lessons.finish(
     ylabel="|received − sent| (steps q)",
     title="All symbols are right,\nthen nearly all are wrong",
 )
-lessons.label(errors, (victim + 150, 450))
-lessons.show(figure, "21_desync")
+figures.label(errors, (victim + 150, 450))
+figures.show(figure, "21_desync")
 
 # %% [markdown]
 # **Such differences occur by themselves.** Take the same `float32` network and add its products

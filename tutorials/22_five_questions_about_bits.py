@@ -19,9 +19,10 @@ from scipy.special import ndtr
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show(
     "22_five_questions_about_bits",
     "noise",
@@ -283,20 +284,20 @@ curves = np.array([three(s) for s in sigmas]).T
 phases.plot(sigmas, curves[0], "-", lw=3, label="noise: every grid")
 phases.plot(sigmas, curves[1], "--", lw=3, label="rounding, mean on\na multiple of q")
 phases.plot(sigmas, curves[2], ":", lw=3, label="rounding, mean between two")
-lessons.finish(
+figures.finish(
     phases,
     xscale="log",
     xlabel="σ / q (logarithmic)",
     ylabel="bits a number",
     title="Noise pays the average over all grids",
 )
-lessons.label(
+figures.label(
     phases,
     (0.035, 0.5),
     (0.45, 0.05),
     (0.031, 1.1),
 )
-lessons.show(figure, "22_five_questions_about_bits")
+figures.show(figure, "22_five_questions_about_bits")
 
 # %% [markdown]
 # ## Break it
@@ -424,7 +425,7 @@ figure, (steps, error_of) = plt.subplots(
 seen = w[:, 0] > 0
 steps.loglog(w[seen], learned[seen], "o", label="learned")
 line = np.geomspace(1e-6, 1e-3, 2)
-steps.loglog(line, 0.2 * (line / 1e-4) ** -0.5, color=lessons.COLORS[1], label="$w_a^{-1/2}$")
+steps.loglog(line, 0.2 * (line / 1e-4) ** -0.5, color=figures.COLORS[1], label="$w_a^{-1/2}$")
 steps.set(
     aspect="equal",  # a decade is as long on both axes, so that the slopes are the true ones
     ylim=(0.03, 3),
@@ -432,23 +433,23 @@ steps.set(
     ylabel="step q of the features\n(logarithmic)",
     title="Anchors that matter more got finer steps, but less so than the law says",
 )
-lessons.label(steps, (1e-7, 0.18), (3e-6, 1.3))
+figures.label(steps, (1e-7, 0.18), (3e-6, 1.3))
 for (name, curve), marker in zip(curves.items(), "os^"):
     error_of.semilogy(*curve.T, f"-{marker}", label=name)
-lessons.finish(
+figures.finish(
     error_of,
     xlim=(0, None),
     xlabel="bits a feature, Eq. (11)",
     ylabel="mean squared error\n(logarithmic)",
     title="Bits that an error costs, for three kinds of steps",
 )
-lessons.label(
+figures.label(
     error_of,
     (4, 4.5e-6),
     (0.7, 4e-5),
     (2.2, 2e-4),
 )
-lessons.show(figure, "22_adaptive_steps")
+figures.show(figure, "22_adaptive_steps")
 
 # %% [markdown]
 # ## Exercises

@@ -16,9 +16,10 @@ from scipy.special import ndtr, roots_legendre
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("23_accuracy_versus_time", "compositing", "likelihood")
 
 
@@ -130,20 +131,20 @@ axes.text(20, 3e-17, "floor: rounding of float64", fontsize=12)
 arrow = dict(arrowstyle="->")
 axes.annotate("slope $-2$", (360, 2.6e-7), xytext=(900, 3e-6), fontsize=13, arrowprops=arrow)
 axes.annotate("slope $-4$", (45, 1.8e-9), xytext=(90, 3e-8), fontsize=13, arrowprops=arrow)
-lessons.finish(
+figures.finish(
     axes,
     xlabel="work (values of $\\phi$)",
     ylabel="error of the bin's mass",
     ylim=(1e-17, 0.1),
     title="One integral, three rules: the slope is the order, the floor is the format",
 )
-lessons.label(
+figures.label(
     axes,
     (5, 8e-3),
     (150, 6e-11),
     (7, 1e-10),
 )
-lessons.show(figure, "23_accuracy_versus_time_order")
+figures.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]
 # ## In code
@@ -279,7 +280,7 @@ for panel in (left, right):
     panel.xaxis.set_major_formatter("{x:g}")
     panel.xaxis.set_minor_formatter("{x:g}")
     panel.legend(fontsize=12, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.13))
-lessons.show(figure, "23_accuracy_versus_time")
+figures.show(figure, "23_accuracy_versus_time")
 
 # %% [markdown]
 # The numbers beside the points are the parameters: the cut on the left, the entries per standard

@@ -18,9 +18,10 @@ from scipy.special import expit, ndtr
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show(
     "24_hard_cases", "step", "likelihood", "hash_rate", "ssim", "projection", "compositing"
 )
@@ -150,7 +151,7 @@ assert 37 < np.abs(distances[mirrored.any(axis=1)]).min() < 45
 figure, axes = plt.subplots(2, 4, figsize=(13, 9), sharex=True, sharey=True, layout="constrained")
 stability.draw_maps(figure, axes, found)
 figure.suptitle("Eq. (11): red is infinite or NaN, yellow has no correct digit")
-lessons.show(figure, "24_hard_cases")
+figures.show(figure, "24_hard_cases")
 
 # %% [markdown]
 # **3: a step that vanishes.** In Eq. (8) let $u = \psi_q(h) = -19$. Then $1 + \tanh u$ is 0 in
@@ -326,14 +327,14 @@ for values, name, style, hue in ((T, "float64", "-", "C0"), (T_32, "float32", "-
     positive = np.where(values > 0, values, np.nan)
     light.semilogy(positive, style, lw=3, color=hue, label=name)
     light.axvline(np.flatnonzero(values == 0)[0], ls=style, color=hue, lw=1.2)
-light.axhline(1e-4, color=lessons.COLORS[2], ls=":", label="published kernels stop here")
+light.axhline(1e-4, color=figures.COLORS[2], ls=":", label="published kernels stop here")
 light.set(
     xlabel="layer",
     ylabel="light that arrives, $T_i$ (of 1)",
     title="The light runs out; vertical lines: it is exactly 0",
 )
 light.set_yticks([1, 1e-100, 1e-200, 1e-300])
-lessons.label(
+figures.label(
     light,
     (75, 1e-130),
     (34, 1e-48),
@@ -343,14 +344,14 @@ size = np.abs(alpha_bar[:8])
 bottom = np.full(8, size.min() / 30)
 pull.semilogy(size, "o-", ms=10, color="C0", label="by the recurrence (true)")
 pull.semilogy(bottom, "x", ms=11, mew=3, color="C1", label="by division: exactly 0")
-lessons.finish(
+figures.finish(
     pull,
     xlabel="layer",
     ylabel=r"size of the gradient $|\bar\alpha_i|$",
     title="Divided back from 0: no layer learns",
 )
-lessons.label(pull, (2.2, 1e-5), (0, 3e-17))
-lessons.show(figure, "24_hard_cases_layers")
+figures.label(pull, (2.2, 1e-5), (0, 3e-17))
+figures.show(figure, "24_hard_cases_layers")
 
 # %% [markdown]
 # ## Break it

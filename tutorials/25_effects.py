@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("25_effects", "view", "color", "deformation", "deformed", "compositing")
 
 # %% [markdown]
@@ -300,7 +301,7 @@ assert worth > 0.5 and bytes_more > 500
 
 # %%
 effects = [row["effect"] for row in rows]
-faces = [lessons.COLORS[0 if row["listed"] else 4] for row in rows]
+faces = [figures.COLORS[0 if row["listed"] else 4] for row in rows]
 hatches = ["" if row["listed"] else "//" for row in rows]
 columns = {
     "work (thousand multiply-adds of a frame)": [
@@ -316,9 +317,9 @@ for panel, (label, values) in zip(axes, columns.items()):
     panel.set_xlabel(label, fontsize=14)
     panel.tick_params(labelsize=13)
 axes[0].invert_yaxis()
-axes[1].text(2000, 5.5, "listed by the scene", color=lessons.COLORS[0], va="center", fontsize=14)
-axes[1].text(2000, 3.5, "not listed: what it would cost", color=lessons.COLORS[4], fontsize=14)
-lessons.show(
+axes[1].text(2000, 5.5, "listed by the scene", color=figures.COLORS[0], va="center", fontsize=14)
+axes[1].text(2000, 3.5, "not listed: what it would cost", color=figures.COLORS[4], fontsize=14)
+figures.show(
     figure,
     "25_effects",
     title="The scene `static`: what its two effects cost, and what five others would cost",

@@ -16,9 +16,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show("26_video_codec_analogy")
 
 # %% [markdown]
@@ -234,7 +235,7 @@ figure, (bars, growth) = plt.subplots(
     width_ratios=(1.3, 1),
 )
 bottom = np.zeros(5)
-for kind, color, hatch in zip(kinds, lessons.COLORS, ("", "//", "", "..", "")):
+for kind, color, hatch in zip(kinds, figures.COLORS, ("", "//", "", "..", "")):
     height = np.array([own[kind] for own in files.values()])
     bars.bar(range(5), height, bottom=bottom, color=color, hatch=hatch, edgecolor="k")
     bars.text(4.5, bottom[4] + height[4] / 2, kind, color=color, va="center", fontsize=12)
@@ -247,8 +248,8 @@ bars.set(
     title="Four files with a scene each, or one scene and its motion",
 )
 needed = {
-    "intra": (np.cumsum(intra_bytes), "o-", lessons.COLORS[1]),
-    "inter": (np.full(4, inter_bytes), "s--", lessons.COLORS[0]),
+    "intra": (np.cumsum(intra_bytes), "o-", figures.COLORS[1]),
+    "inter": (np.full(4, inter_bytes), "s--", figures.COLORS[0]),
 }
 for name, (values, marker, hue) in needed.items():
     growth.plot(
@@ -259,7 +260,7 @@ for name, (values, marker, hue) in needed.items():
         color=hue,
         label=f"{name}, mean PSNR {np.mean(quality[name]):.1f} dB",
     )
-lessons.finish(
+figures.finish(
     growth,
     xlabel="frames that can be shown",
     ylabel="bytes needed",
@@ -267,8 +268,8 @@ lessons.finish(
     ylim=(0, 1.1 * sum(intra_bytes)),
     title="Intra grows with each frame, inter is paid once",
 )
-lessons.label(growth, (1.1, 17_000), (2.4, 8300), fontsize=13)
-lessons.show(figure, "26_video_codec_analogy")
+figures.label(growth, (1.1, 17_000), (2.4, 8300), fontsize=13)
+figures.show(figure, "26_video_codec_analogy")
 
 # %%
 camera = frames[0].test[0].camera
@@ -290,7 +291,7 @@ figure, axes = plt.subplots(4, 4, figsize=(9, 9.6), layout="constrained")
 for line, (name, images) in zip(axes, shown.items()):
     for panel, image, truth, t in zip(line, images, truths, times):
         panel.imshow(image)
-        lessons.finish(
+        figures.finish(
             panel,
             xticks=[],
             yticks=[],
@@ -301,7 +302,7 @@ for line, (name, images) in zip(axes, shown.items()):
             fontsize=14,
         )
     line[0].set_ylabel(name, fontsize=16)
-lessons.show(
+figures.show(
     figure,
     "26_video_codec_analogy_pictures",
     title="One test view: only the last row ignores motion",

@@ -15,9 +15,10 @@ import numpy as np
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture, shared
+lessons.find_tools()
+from tutorials.tools import architecture, figures, shared
 
+plt = figures.pyplot()
 architecture.show("27_rate_distortion", "total_loss", "rate_loss", "file")
 
 # %% [markdown]
@@ -75,7 +76,7 @@ changes = dict(
     lr_p=(0.05, 0.005),
 )
 start = Trainer(scene, choose("tiny", changes), seed=0)
-arrays, state = lessons.at_stage_4(start, decode((shared.FOLDER / "demo.p4dgs").read_bytes()))
+arrays, state = shared.at_stage_4(start, decode((shared.FOLDER / "demo.p4dgs").read_bytes()))
 
 
 def branch(price):
@@ -151,13 +152,13 @@ curve.set(
 )
 curve.margins(0.3, 0.2)
 bottom = np.zeros(len(points))
-shares = zip((*ATTRIBUTE_SECTIONS, "hash_grid"), column("parts").T, lessons.COLORS)
+shares = zip((*ATTRIBUTE_SECTIONS, "hash_grid"), column("parts").T, figures.COLORS)
 for name, sizes, color in shares:
     bars.bar(range(len(points)), sizes, bottom=bottom, color=color)
     place = bottom[-1] + sizes[-1] / 2
     bars.text(3.45, place, name.replace("_", " "), color=color, va="center", fontsize=11)
     bottom += sizes
-lessons.finish(
+figures.finish(
     bars,
     xticks=range(len(points)),
     xticklabels=[f"{price:g}" for price in PRICES],
@@ -166,7 +167,7 @@ lessons.finish(
     title=f"What the price acts on; the other\n{fixed.mean():,.0f} bytes stay as they are",
     xlim=(-0.5, 4.9),
 )
-lessons.show(figure, "27_rate_distortion")
+figures.show(figure, "27_rate_distortion")
 
 # %% [markdown]
 # All four pictures look sharp. The price shows in their errors, at the edges and in the tiles. Each
@@ -203,7 +204,7 @@ for ax in wrong:
     ax.axis("off")
 figure.colorbar(shades, cax=wrong[4].inset_axes((0.2, 0.1, 0.1, 0.8)), label="error of a pixel")
 figure.suptitle("A test view from the four files; bytes of the attributes")
-lessons.show(figure, "27_rate_distortion_pictures")
+figures.show(figure, "27_rate_distortion_pictures")
 
 # %% [markdown]
 # ## Backward by hand

@@ -16,9 +16,10 @@ from pathlib import Path
 
 from p4dgs_ref import lessons
 
-plt = lessons.begin()
-from tutorials.tools import architecture
+lessons.find_tools()
+from tutorials.tools import architecture, figures
 
+plt = figures.pyplot()
 architecture.show(
     "28_porting_in_an_afternoon",
     "rounding",
@@ -100,7 +101,7 @@ assert not node or checked("", "", "rounding hash_grid covariance compositing").
 # takes their mean instead, has right pictures and trains wrongly. Only `in_bar.x_a` shows it.
 
 # %%
-lessons.caught(
+lessons.check_mistake(
     lambda x_a, O_a, l_a: x_a[:, None] + O_a * l_a[:, None],
     "offsets",
     vjp=lambda inputs, bars: {
@@ -185,8 +186,8 @@ for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).
 # %%
 figure, ax = plt.subplots(figsize=(9, 4))
 ax.barh(list(MISTAKES), [row[-1] for row in MISTAKES.values()], edgecolor="k")
-lessons.finish(ax, xlabel="cases that fail; the first of them names the equation")
-lessons.show(figure, "28_porting", title="Seven mistakes in one line each")
+figures.finish(ax, xlabel="cases that fail; the first of them names the equation")
+figures.show(figure, "28_porting", title="Seven mistakes in one line each")
 
 # %% [markdown]
 # ## What a codec does with it

@@ -7,8 +7,8 @@ draws out/08_step_gain.png; {} says that the paper has no number, so only ours a
 
 import numpy as np
 
-from p4dgs_ref import lessons
 from p4dgs_ref.lab.writer import read_csv
+from tutorials.tools import figures
 from tutorials.tools import show as drawing
 from tutorials.tools.shared import FOLDER
 
@@ -29,7 +29,7 @@ def mean(label, column="bytes", record="ablate"):
 
 def show(name, here, paper, record="ablate"):
     """Draw our files, {text: label of a record's rows}, and the paper's, {text: (MB, quality)}."""
-    figure, (ours, theirs) = lessons.pyplot().subplots(
+    figure, (ours, theirs) = figures.pyplot().subplots(
         1, 2, figsize=(13, 1.4 + 0.6 * max(len(here), len(paper))), layout="constrained"
     )
     for text, label in here.items():
@@ -55,4 +55,4 @@ def show(name, here, paper, record="ablate"):
         ax.margins(x=0.5)
         ax.set_xticks(())
         ax.grid(False)
-    lessons.show(figure, f"{name}_gain")
+    figures.show(figure, f"{name}_gain")

@@ -6,8 +6,8 @@ It trains five times. Only the page holds the four other files; a slow test make
 from pathlib import Path
 
 import p4dgs_ref as p4
-from p4dgs_ref import lessons
 from p4dgs_ref.report import view
+from tutorials.tools.figures import THREAD
 
 from .demo import file
 
@@ -37,7 +37,7 @@ def main():
     """Train and write the page."""
     files = {name_of(rate): file(lambda_rate=rate) for rate in RATES}
     notes = {name_of(rate): note(files[name_of(rate)], rate) for rate in RATES}
-    notes["demo.p4dgs"]["anchor"] = lessons.THREAD.index
+    notes["demo.p4dgs"]["anchor"] = THREAD.index
     PAGE.write_bytes(page(files, notes))
 
 

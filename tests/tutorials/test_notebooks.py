@@ -70,11 +70,11 @@ print(__name__, len(sys.argv) > 1, "__file__" in globals())
 # %%
 import matplotlib.pyplot as plt
 
-from p4dgs_ref import lessons
+from tutorials.tools import figures
 
-figure, axes = lessons.pyplot().subplots(figsize=(4, 3))
+figure, axes = figures.pyplot().subplots(figsize=(4, 3))
 axes.plot([1, 2])
-lessons.show(figure, "01_small")
+figures.show(figure, "01_small")
 print("between")
 plt.figure(figsize=(2, 2))
 plt.plot([2, 1])

@@ -55,7 +55,7 @@ def test_solution_passes(tutorial, tmp_path):
 @pytest.mark.slow
 def test_stored_answers_are_those_of_the_solutions():
     """Where it fails, `python -m tests.golden.answers` makes them anew."""
-    made, stored = solved.answers(), lessons.stored("answers")
+    made, stored = solved.answers(), lessons.read_stored("answers")
     assert set(made) == set(stored)
     for exercise, answer in made.items():
         assert np.allclose(answer, stored[exercise], rtol=1e-9, atol=0), exercise
@@ -70,7 +70,7 @@ def test_exercises_are_numbered_asked_and_solved(tutorial):
 
 
 def test_every_exercise_has_two_hints():
-    hints = lessons.stored("hints")
+    hints = lessons.read_stored("hints")
     assert sorted(hints) == [e for t in TUTORIALS for e in syllabus.facts(t).exercises]
     assert {len(both) for both in hints.values()} == {2}
 
@@ -89,7 +89,7 @@ def test_package_is_imported_where_it_is_needed_and_figures_have_cells_of_their_
     imported = [line for line in before_first if line.startswith(("from p4dgs", "import p4dgs"))]
     assert imported == ["from p4dgs_ref import lessons"]
     drawing = [
-        cell.text for cell in notebooks.cells(source(tutorial)) if "lessons.show(" in cell.text
+        cell.text for cell in notebooks.cells(source(tutorial)) if "figures.show(" in cell.text
     ]
     assert drawing and all(map(notebooks.ONLY_DRAWS.match, drawing))  # notebooks collapse them
 

@@ -8,12 +8,12 @@ import subprocess
 
 import pytest
 
-from p4dgs_ref import lessons
 from p4dgs_ref.report import view
 from tests import ROOT
 from tests.golden import demo, lambdas
 from tests.processes import CAPTURED
 from tests.sampling import of_the_day, turn
+from tutorials.tools.figures import THREAD
 
 TUTORIALS = ROOT / "tutorials"
 PAPER = "https://arxiv.org/abs/2510.10030"
@@ -43,9 +43,9 @@ def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
     assert [*files] == [lambdas.name_of(rate) for rate in lambdas.RATES]
     assert files["demo.p4dgs"] == (TUTORIALS / "demo.p4dgs").read_bytes()
     assert tuple(note["lambda_rate"] for note in notes.values()) == lambdas.RATES
-    assert notes["demo.p4dgs"]["anchor"] == lessons.THREAD.index
+    assert notes["demo.p4dgs"]["anchor"] == THREAD.index
     layers = (view.VIEWER / "layers.js").read_text(encoding="utf-8")
-    assert f'MARKED = "{lessons.THREAD.color.lower()}"' in layers
+    assert f'MARKED = "{THREAD.color.lower()}"' in layers
     for name, data in of_the_day(files.items()):
         assert lambdas.note(data, 0)["psnr_db"] == pytest.approx(notes[name]["psnr_db"], abs=0.01)
 

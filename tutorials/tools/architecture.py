@@ -12,11 +12,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path
 
-from p4dgs_ref import EQUATIONS, lessons
+from p4dgs_ref import EQUATIONS
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.report.figures import styled
+from tutorials.tools import figures
 
-BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = lessons.COLORS
+BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = figures.COLORS
 INK, DARK, GREY, WHITE = "#1a1a1a", "#606060", "#9a9a9a", "#ffffff"
 WIDTH, HEIGHT = 100, 54.5
 INCHES = 9.0  # of the width: 900 pixels at 100 dots an inch
@@ -186,18 +187,18 @@ def show(name, *keys):
     These are the boxes of its equations, or of `keys` where it explains none; without any, all.
     """
     own = {tutorial.name: tutorial.keys for tutorial in TUTORIALS}[name]
-    lessons.show(draw_method(own or keys), f"{name[:2]}_map")
+    figures.show(draw_method(own or keys), f"{name[:2]}_map")
 
 
-@styled(lessons.STYLE)
+@styled(figures.STYLE)
 def draw_method(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
-    figure = lessons.bare_pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
+    figure = figures.bare_pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
     paint(figure.add_axes((0, 0, 1, 1)), lit)
     return figure
 
 
-@styled(lessons.STYLE)
+@styled(figures.STYLE)
 def save(path):
     """Write the drawing as a PNG, without matplotlib's version in it."""
     draw_method(dpi=150).savefig(path, metadata={"Software": None})

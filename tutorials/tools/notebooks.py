@@ -27,7 +27,7 @@ from tutorials.tools.shared import FOLDER, in_few_bytes, run, write_text
 DPI = 72  # of the figures: most are 600 to 950 pixels wide
 PROSE, CODE = "# %% [markdown]", "# %%"
 NAME = re.compile(r"(?<!\[)`(\d\d_\w+)`")  # of a tutorial in the prose, unless it is linked already
-ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*lessons\.show\(", re.S)  # a cell
+ONLY_DRAWS = re.compile(r"(?!.*(\bassert\b|\bprint\()).*figures\.show\(", re.S)  # a cell
 # Jupyter reads the first mark; converters to HTML and books read the second one.
 COLLAPSED = {"jupyter": {"source_hidden": True}, "tags": ["hide-input"]}
 LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)[^)\s]+")  # a target without https: and the like

@@ -72,6 +72,23 @@ def markdown_table(heads, rows):
     return "\n".join([lines[0], "|---" * len(heads) + "|", *lines[1:]])
 
 
+def at_stage_4(trainer, model):
+    """Return the state of a trainer at the beginning of stage 4, with the anchors of a model.
+
+    The networks that draw are also the model's. The trainer must have as many anchors as the model.
+    """
+    (arrays, values), anchors = trainer.state(), model.anchors
+    log_s, log_l = (np.log(np.maximum(values, 1e-4)) for values in (anchors.s_a, anchors.l_a))
+    new = {"x_a": anchors.x_a, "f_a": anchors.f_a, "O_a": anchors.O_a}
+    new |= {"log_s": log_s, "log_l": log_l}
+    for name in model.networks.keys() - {"psi_p", "psi_q"}:
+        for kind, layers in zip("Wb", model.networks[name]):
+            new |= {f"{name}.{kind}{i}": array for i, array in enumerate(layers)}
+    arrays |= {f"p/{name}": array.astype(np.float32) for name, array in new.items()}
+    arrays["mask"] = anchors.mask
+    return arrays, {**values, "iteration": trainer.preset.stage_ends[2]}
+
+
 def file_of(equation):
     """The path in the checkout of the file that holds an equation of the table."""
     return f"{equation.forward.__module__.replace('.', '/')}.py"

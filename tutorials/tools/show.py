@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.special import ndtr
 
-from p4dgs_ref import lessons
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
@@ -24,10 +23,11 @@ from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 from p4dgs_ref.training.progress import psnr
+from tutorials.tools import figures
 
 SPACE, STEP, TIME, RATE, CONTEXT, SPLAT, ANCHOR = COLORS
 GREY, PALE = "#606060", "#d9d9d9"
-OWN = lessons.THREAD.color  # of the anchor that leads through all pages
+OWN = figures.THREAD.color  # of the anchor that leads through all pages
 AMOUNT = "viridis"  # the colours of an amount: bits, distances, deviations
 PARTS = {  # of an anchor's bits: shades of RATE
     "position, masks": "#b0b0b0",
@@ -37,7 +37,7 @@ PARTS = {  # of an anchor's bits: shades of RATE
     "offsets": "#e8bfd6",
 }
 STYLE = {  # of the tour's pictures
-    **lessons.STYLE,
+    **figures.STYLE,
     "font.size": 16,
     "axes.titlesize": 18,
     "figure.dpi": 100,

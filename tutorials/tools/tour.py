@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 
-from p4dgs_ref import lessons, output
+from p4dgs_ref import output
 from p4dgs_ref.codec import container, quantise
 from p4dgs_ref.codec.file import decode, encode, quantised_of
 from p4dgs_ref.report import evaluate, figures, inspect
@@ -21,6 +21,7 @@ from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.trainer import Trainer
 from tutorials import tour_moving
 from tutorials.tools import animation, handout, shared, show
+from tutorials.tools.figures import STYLE, THREAD
 
 PLACE = shared.FOLDER / "tour"
 SCENE = simulator.read_description(load.find_scene("bouncing") / load.DESCRIPTION)
@@ -214,7 +215,7 @@ def one_symbol_twice(wrong=2276):
 
 # --- all pictures ---------------------------------------------------------------------------------
 EDGE = (36, 32)  # column and row of a pixel at the lower edge of the red ball
-FAMILY = lessons.THREAD.index
+FAMILY = THREAD.index
 PICTURES = {  # title: the sentence to take home, and what fills the figure
     "1  Why": ("A file need not store what it can predict.", why),
     "2  Anchors and children": (
@@ -258,7 +259,7 @@ def page(title):
     return figure
 
 
-@figures.styled(lessons.STYLE)  # of the colour bars' numbers, which the drawing makes
+@figures.styled(STYLE)  # of the colour bars' numbers, which the drawing makes
 def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (
