@@ -64,17 +64,8 @@ MAX_DIGITS = 100  # of an integer that is read as one; every limit has fewer
 
 def write_header(model):
     """The section's bytes: JSON without spaces, keys in a fixed order."""
-    return in_json(fields_of(model))
-
-
-def fields_of(model):
-    """The fields of the header of a model."""
     background = [float(c) for c in model.background]
-    return {"anchors": len(model.anchors.mask), "background": background, **vars(model.design)}
-
-
-def in_json(fields):
-    """A JSON object without spaces."""
+    fields = {"anchors": len(model.anchors.mask), "background": background, **vars(model.design)}
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
@@ -83,11 +74,6 @@ def read_header(data):
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
-    return read_fields(read_object(data))
-
-
-def read_object(data):
-    """The fields {name: value} of a header section, whatever they are."""
     require_header(
         len(data) <= MAX_HEADER_BYTES, f"{len(data)} bytes, expected at most {MAX_HEADER_BYTES}"
     )
@@ -97,11 +83,7 @@ def read_object(data):
         pairs = []
     whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
     require_header(whole, "expected a JSON object with no field twice")
-    return dict(pairs)
-
-
-def read_fields(fields):
-    """What `read_header` returns."""
+    fields = dict(pairs)
     require_header(
         fields.keys() == FIELDS.keys(), f"expected the fields {', '.join(FIELDS)}, once each"
     )

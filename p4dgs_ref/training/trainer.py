@@ -74,23 +74,16 @@ class Trainer:
         self.order = []  # the views still to be visited, last first
         self.history = []  # rows of training.csv
         self.points = scene.points if points is None else points
-        self.begin(self.points)
-
-    def begin(self, points):
-        """Draw the first parameters; anchors start at points [A, 3], or at random without them."""
-        self.design = design_of(self.preset, self.scene.effects)
+        self.design = design_of(preset, scene.effects)
         self.box = ()  # the corners of the bounding box, fixed when stage 4 starts
         self.located = None  # where the positions are in the hash grid, from stage 4 on
-        self.start(initial_parameters(self.preset, self.design, self.rng, points))
+        # Anchors start at points [A, 3], or at random without them.
+        self.adopt(initial_parameters(preset, self.design, self.rng, self.points))
+        self.adam = Adam(self.parameters)
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         excess = over_limits(self.design, self.count)
         require(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
-
-    def start(self, parameters):
-        """Take over the first parameters, with zero Adam moments."""
-        self.adopt(parameters)
-        self.adam = Adam(self.parameters)
 
     def adopt(self, parameters):
         """Take over parameters and find the networks and grids in them."""
@@ -226,14 +219,6 @@ class Trainer:
         elif growing or now >= preset.mask_from:
             self.statistics.clear_judged(preset)
 
-    def change_rows(self, names, keep, added):
-        """Drop rows of the arrays `names` and append `added`, whose Adam moments are zero."""
-        zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
-        self.adopt(self.parameters.with_rows(names, keep, added))
-        self.adam.first, self.adam.second = (
-            moments.with_rows(names, keep, zeros) for moments in (self.adam.first, self.adam.second)
-        )
-
     def keep_rows(self, keep, added=None):
         """Drop anchors and append new ones, with their masks, moments and statistics.
 
@@ -242,7 +227,12 @@ class Trainer:
         added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
         keep[0] |= not (keep.any() or count)
-        self.change_rows(density.ROWS, keep, added)
+        zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
+        self.adopt(self.parameters.with_rows(density.ROWS, keep, added))
+        self.adam.first, self.adam.second = (
+            moments.with_rows(density.ROWS, keep, zeros)
+            for moments in (self.adam.first, self.adam.second)
+        )
         self.mask = np.concatenate([self.mask[keep], np.ones((count, self.design.k), bool)])
         self.statistics = self.statistics.with_rows(keep, count)
         if self.box:

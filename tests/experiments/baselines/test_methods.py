@@ -67,7 +67,7 @@ def test_gradients_of_the_loss(scene, method, iteration):
     """One view from parameters to the loss, in float64 and with the exact renderer."""
     strong = {"lambda_planes": (0.3, 0.2, 0.1)} if method == "hexplane" else {}
     trainer = MODULES[method].Trainer(scene, replace(SMALL[method], **strong), settings=EXACT)
-    trainer.start(random_parameters(method, 4))
+    trainer.parameters = random_parameters(method, 4)
     trainer.iteration, p, view = iteration, trainer.parameters, scene.train[3]
     p["log_s"][...] = -1.5
     losses, _, gradients, _ = trainer.gradients_of(view)

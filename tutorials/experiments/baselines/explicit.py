@@ -28,7 +28,7 @@ from p4dgs_ref.training import trainer
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import neighbour_distance, starting_points
 from p4dgs_ref.training.objective import Losses, Rendered
-from p4dgs_ref.training.parameters import Parameters, exponential
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential
 from p4dgs_ref.training.watch import NotFinite, first_bad
 
 from . import sh_color
@@ -253,15 +253,15 @@ class Trainer(trainer.Trainer):
     }
     PER_EXTENT = ()  # names whose rates are multiples of the extent of the cameras
 
-    def begin(self, points):
-        """Draw the first parameters."""
-        self.start(Parameters(self.kind.initial(self.preset, self.rng, points)))
-        self.extent = extent_of(self.scene.train)
+    def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
+        self.scene, self.preset, self.settings = scene, preset, settings
+        self.rng = np.random.default_rng(seed)
+        self.iteration, self.order = 0, []
+        points = scene.points if points is None else points
+        self.parameters = Parameters(self.kind.initial(preset, self.rng, points))
+        self.adam = Adam(self.parameters)
+        self.extent = extent_of(scene.train)
         self.statistics = Statistics.empty(self.count, 1)
-
-    def adopt(self, parameters):
-        """Take over parameters."""
-        self.parameters = parameters
 
     @property
     def count(self):
@@ -335,7 +335,10 @@ class Trainer(trainer.Trainer):
         rows = [name for name in self.kind.PROPERTIES if name in p.arrays]
         keep, added = densify(p, rows, gradient, self.extent, preset, self.scatter)
         if keep.any() or len(added["x"]):
-            self.change_rows(rows, keep, added)
+            zeros = {name: np.zeros_like(a) for name, a in added.items()}
+            self.parameters = p.with_rows(rows, keep, added)
+            self.adam.first = self.adam.first.with_rows(rows, keep, zeros)
+            self.adam.second = self.adam.second.with_rows(rows, keep, zeros)
         self.statistics = Statistics.empty(self.count, 1)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
-from p4dgs_ref.training.parameters import Parameters, exponential
+from p4dgs_ref.training.parameters import Adam, Parameters, exponential
 from p4dgs_ref.training.presets import TINY, Preset
 from p4dgs_ref.training.progress import Progress
 
@@ -32,7 +32,8 @@ class Trainer(trainer.Trainer):
         self.position_bits = position_bits
         super().__init__(scene, preset, seed)
         log_step = initial_log_steps(self.networks)  # one for each tensor of a network
-        self.start(Parameters({**self.parameters.arrays, "log_step": log_step}))
+        self.adopt(Parameters({**self.parameters.arrays, "log_step": log_step}))
+        self.adam = Adam(self.parameters)
 
     def adopt(self, parameters):
         """Take over parameters, and find where the networks are in them."""
