@@ -4,7 +4,7 @@ import io
 import os
 import re
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -31,8 +31,6 @@ from p4dgs_ref.training.presets import (
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
 from tests import processes
-from tests.golden import demo
-from tests.golden.proof import proof
 
 SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
@@ -181,19 +179,7 @@ def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
     assert [row[0] for row in trainer.history] == [1, 20, 40]  # at least one in twenty steps
 
 
-# --- all of it ---
-def test_sixty_steps_have_the_bytes_that_are_kept():
-    """Any other number in a preset, a step, the renderer or the codec leads to others."""
-    kept = demo.kept()
-    if demo.with_what() != kept["arithmetic"]:
-        pytest.skip(f"the steps had {kept['arithmetic']}; other last bits lead to other bytes")
-    made = proof()
-    assert made.items() - kept.items() == {("arithmetic", made["arithmetic"])}
-
-
 # --- optimiser ---
-
-
 def test_learning_rate_is_geometric():
     def rate(step):
         return exponential(step, 0.01, 1e-4, 1000)
@@ -306,26 +292,6 @@ def test_what_each_stage_moves(scene):
     assert moved[1] == moved[2] == base | {"x_a"}
     assert moved[3] == base | {"x_a", "psi_d"}
     assert moved[4] - {"x_a"} == base | {"psi_d", "psi_p", "psi_q", "grid"}
-
-
-@pytest.mark.parametrize(
-    "rates",
-    [
-        {"lr_x": "x_a", "lr_O": "O_a", "lr_c": "psi_c", "lr_psi_s": "psi_s", "lr_p": "psi_p"},
-        {"lr_f": "f_a", "lr_l": "log_l", "lr_alpha": "psi_alpha", "lr_d": "psi_d"},
-        {"lr_s": "log_s", "lr_r": "psi_r", "lr_q": "psi_q", "lr_grid": "grid"},
-    ],
-)
-def test_each_rate_moves_its_own_arrays(scene, rates):
-    """Neighbours in the table of rates are in different groups: the others are zero."""
-    every = [field.name for field in fields(SMOKE) if field.name.startswith("lr_")]
-    some = {name: (0.01 * (name in rates),) * 2 for name in every}
-    trainer = Trainer(scene, replace(SMOKE, stage_ends=(1, 2, 3, 5), **some))
-    before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
-    trainer.run()
-    after = trainer.parameters.arrays
-    moved = {name.split(".")[0] for name in before if not np.array_equal(before[name], after[name])}
-    assert moved - {"x_a"} == {*rates.values()} - {"x_a"}  # stage 4 puts x_a on a lattice
 
 
 def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
