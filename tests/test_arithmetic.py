@@ -1,6 +1,6 @@
 """The same bits on every processor: what `prepare` asks for, and what emulated processors compute.
 
-`python -m tests.golden.proof` prints the hashes that are compared here.
+`python -m tests.workshop.proof` prints the hashes that are compared here.
 """
 
 import io
@@ -16,9 +16,9 @@ import pytest
 
 from p4dgs_ref import arithmetic
 from tests import processes
-from tests.golden import demo
-from tests.golden.proof import proof
 from tests.sampling import of_the_day
+from tests.workshop import demo
+from tests.workshop.proof import proof
 
 CORE = (getattr(np, "_core", None) or np.core)._multiarray_umath
 PREPARED = """
@@ -168,7 +168,7 @@ def test_sixty_steps_have_the_bytes_that_are_kept():
 @pytest.mark.skipif(not shutil.which("qemu-x86_64"), reason="no qemu-x86_64 (package qemu-user)")
 @pytest.mark.parametrize("processor", of_the_day(["Haswell", "EPYC-Rome"]))
 def test_an_emulated_processor_computes_the_same_bytes(native, processor):
-    command = ["qemu-x86_64", "-cpu", processor, sys.executable, "-m", "tests.golden.proof"]
+    command = ["qemu-x86_64", "-cpu", processor, sys.executable, "-m", "tests.workshop.proof"]
     done = subprocess.run(command, cwd=processes.ASIDE, **processes.CAPTURED)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == native

@@ -13,7 +13,7 @@ import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import kernels
 from p4dgs_ref.cli import parser as cli
 from tests import ROOT
-from tests.golden import demo
+from tests.workshop import demo
 
 PAGES = {
     name: (ROOT / name).read_text(encoding="utf-8")
@@ -126,7 +126,7 @@ def test_the_figures_of_the_demo_are_those_of_its_file(page, file):
 
 @pytest.mark.slow
 def test_the_demo_gives_its_file_again(file):
-    """`python -m tests.golden.demo` keeps its hash, which every version of NumPy and SciPy gives.
+    """`python -m tests.workshop.demo` keeps its hash, which every version of NumPy and SciPy gives.
 
     `.ci/run` runs this test with NumPy's lowest version, 2.0.2 and the newest.
     """

@@ -405,7 +405,7 @@ lessons.check_backward("18.3", my_backward, "temporal_prediction", "x", "s", "r"
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only trace` compares ten whole training steps: the losses, the
 # norms of all gradients, and all parameters at the end. What a port has to compute there is
-# `trace_vjp` in [pipeline.py](../tests/golden/pipeline.py), which made these vectors. Typical
+# `trace_vjp` in [pipeline.py](../tests/workshop/pipeline.py), which made these vectors. Typical
 # mistakes of ports are to place $\epsilon$ inside the root, to count steps for arrays that did not
 # take part, and to move the positions in stage 4. The equations that join all parts of the step
 # are checked here:

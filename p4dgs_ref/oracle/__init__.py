@@ -4,7 +4,7 @@
     print(oracle.check(my_offsets, "offsets"))  # judge a Python function
     oracle.path()  # the folder of the published vectors
 
-What makes the vectors and proves them is in `tests/golden` of a checkout.
+What makes the vectors and proves them is in `tests/workshop` of a checkout.
 """
 
 from .checker import Report, check, check_port

@@ -1,8 +1,8 @@
 """Finds the known mistakes with which a port's wrong answers agree.
 
-A known mistake is one way in which ports go wrong. `tests/golden/mistakes` defines each as a change
-of behaviour and computes what a port with that mistake answers to the published cases. The folder
-`mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
+A known mistake is one way in which ports go wrong. `tests/workshop/mistakes` defines each as a
+change of behaviour and computes what a port with that mistake answers to the published cases. The
+folder `mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
 safetensors file a subject holds every tensor that a mistake gets wrong, as
 `<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
 For a mistake's `noisy` cases, in which its answers are rounding noise, nothing is stored and any

@@ -12,7 +12,7 @@ and y is right within c eps S, with the eps of the port's precision.
 The second term of S is measured. All inputs, for gradients the cotangents too, are changed by
 +-delta of themselves with random signs, PROBES times; the root mean square of the change of y,
 divided by delta, estimates the term. For a sum it is the size of the summands; for other functions
-it is the effect of rounding the inputs. The tolerance c is measured by `tests/golden/measured.py`.
+it is the effect of rounding the inputs. `tests/workshop/measured.py` measures the tolerance c.
 
 The functions below take `answer(inputs, cotangents)`, which returns outputs and gradients as flat
 tensors {"out.x": array, "in_bar.x_a": array}.

@@ -11,8 +11,8 @@ from p4dgs_ref.codec.header import AXES, FIELDS
 from p4dgs_ref.codec.plain import MAX_BOX
 from p4dgs_ref.limits import MAX_OF
 from p4dgs_ref.scenes.scene import MODEL_EFFECTS
-from tests.golden.conformance_good import LARGEST, Parts
 from tests.sampling import few
+from tests.workshop.conformance_good import LARGEST, Parts
 
 SIZES = 0, 2.0**-1074, 2.0**-100, 0.3, 1, 2.0**20, 2.0**100, 1e300
 NUMBERS = [*SIZES, *(-size for size in SIZES)]

@@ -21,7 +21,7 @@ from p4dgs_ref.training.initial import design_of, initial_parameters
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import assemble
-from tests.golden.damage import sections_in
+from tests.workshop.damage import sections_in
 
 
 def random_model(seed=0, effects=MODEL_EFFECTS, points=None, **changes):

@@ -20,9 +20,9 @@ from p4dgs_ref.model import join
 from p4dgs_ref.oracle.streams import STREAMS
 from p4dgs_ref.report.inspect import ledger
 from tests.codec.models import ENDS_OF_RANGES, MAKE, refusal, with_field
-from tests.golden import conformance, plain_decoder
-from tests.golden.damage import sections_in
 from tests.sampling import few
+from tests.workshop import conformance, plain_decoder
+from tests.workshop.damage import sections_in
 
 MANIFEST = json.loads((STREAMS / "manifest.json").read_text(encoding="utf-8"))
 GOOD, BAD = ({row["name"]: row for row in MANIFEST[key]} for key in ("good", "bad"))

@@ -19,7 +19,7 @@ from p4dgs_ref.codec.container import (
     write_container,
 )
 from tests.codec.models import flips, prefixes, refusal, traced
-from tests.golden.conformance_good import GOOD, stream_of
+from tests.workshop.conformance_good import GOOD, stream_of
 
 EMPTY = write_container({})
 

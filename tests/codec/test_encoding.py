@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import published
-from tests.golden import plain_decoder
+from tests.workshop import plain_decoder
 
 NAMES = ("ordinary", "masked_and_still")
 

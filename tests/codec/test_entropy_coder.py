@@ -30,8 +30,8 @@ from p4dgs_ref.codec.streams import (
     ideal_bits_gaussian,
 )
 from tests.codec.models import flips, prefixes, refusal
-from tests.golden import make_tables, plain_decoder
 from tests.sampling import few
+from tests.workshop import make_tables, plain_decoder
 
 TWIN = dict(push_rows=rans.push_rows_plainly)
 

@@ -28,8 +28,8 @@ from tests.codec.models import (
     digest,
     exact_context,
 )
-from tests.golden.sample_model import sample_model
 from tests.sampling import few
+from tests.workshop.sample_model import sample_model
 
 EYES = ((1.5, -2.5, 1.0), (-0.4, 2.8, 0.6))
 CAMERAS = [look_at(eye, (0, 0, 0), 30.0, 28.0, 40, 24) for eye in EYES]

@@ -22,8 +22,8 @@ from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.presets import PRESETS
 from tests.codec.models import MAKE, changed, random_model, refusal, with_header
-from tests.golden.damage import sections_in
-from tests.golden.sample_model import sample_model
+from tests.workshop.damage import sections_in
+from tests.workshop.sample_model import sample_model
 
 # An overflow or a NaN on the way is a failure, too.
 pytestmark = pytest.mark.filterwarnings("error")

@@ -17,11 +17,11 @@ from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal, traced, with_header
-from tests.golden import fuzz
-from tests.golden.conformance_good import GOOD, stream_of
-from tests.golden.damage import assemble, damage_header, mutation, sections_in
-from tests.golden.sample_model import sample_model
 from tests.sampling import few
+from tests.workshop import fuzz
+from tests.workshop.conformance_good import GOOD, stream_of
+from tests.workshop.damage import assemble, damage_header, mutation, sections_in
+from tests.workshop.sample_model import sample_model
 
 LEVELS_3D = (18, 24, 33, 44, 59, 80, 108, 148, 201, 275, 376, 514)
 LEVELS_2D = (130, 258, 514, 1026)

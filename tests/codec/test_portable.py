@@ -18,8 +18,8 @@ from p4dgs_ref.codec.gaussian_table import lookup_table
 from p4dgs_ref.equations.prior import layout
 from tests import processes
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
-from tests.golden import plain_decoder
 from tests.sampling import few
+from tests.workshop import plain_decoder
 
 SEVERAL = dict(
     anchors=400,

@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.splatting.table import Equation
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
-from tests.golden import shape_comments
+from tests.workshop import shape_comments
 
 
 def run(eq, inputs):

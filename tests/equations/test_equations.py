@@ -15,8 +15,8 @@ from p4dgs_ref.equations import likelihood
 from tests.equations import adjoint, rules
 from tests.equations.adjoint import close, is_float
 from tests.equations.rules import altered
-from tests.golden.cases import FLAGS, case_of, cases_of
 from tests.sampling import few
+from tests.workshop.cases import FLAGS, case_of, cases_of
 
 EACH = pytest.mark.parametrize("eq", EQUATIONS.values(), ids=lambda eq: eq.key)
 
@@ -26,7 +26,7 @@ EACH = pytest.mark.parametrize("eq", EQUATIONS.values(), ids=lambda eq: eq.key)
 
 def differentiable(eq, case):
     """The function that `backward` differentiates: straight-through parts have a surrogate."""
-    cases = import_module(f"tests.golden.cases.{eq.key}")
+    cases = import_module(f"tests.workshop.cases.{eq.key}")
     if not hasattr(cases, "surrogate"):
         return eq
     smooth = cases.surrogate(**case.inputs)
@@ -97,7 +97,7 @@ def test_table_and_cases_fit_the_functions(eq):
 
 
 def test_every_flag_marks_a_case():
-    """Those of "replay" are trainings (tests/golden/replay.py)."""
+    """Those of "replay" are trainings (tests/workshop/replay.py)."""
     marked = {flag for key in EQUATIONS for case in cases_of(key) for flag in case.flags}
     assert marked == set(FLAGS) - {"replay"}
 

@@ -5,8 +5,8 @@ import pytest
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.oracle.tolerance import answer_of, cotangents_of
-from tests.golden.cases import case_of
-from tests.golden.shape_comments import arguments, outputs
+from tests.workshop.cases import case_of
+from tests.workshop.shape_comments import arguments, outputs
 
 RAISES = {"rounding": OverflowError, "hash_grid": ValueError, "likelihood": ValueError}
 BAD = pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

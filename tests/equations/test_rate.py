@@ -18,7 +18,7 @@ from p4dgs_ref.equations import (
 from tests import ROOT
 
 # Rows of every regime of Eq. (11).
-BINS = ROOT / "tests" / "golden" / "data" / "gaussian_bin_constants.json"
+BINS = ROOT / "tests" / "workshop" / "data" / "gaussian_bin_constants.json"
 Z, W, *_ = (
     np.array(column)[None] for column in zip(*json.loads(BINS.read_text(encoding="utf-8"))["rows"])
 )

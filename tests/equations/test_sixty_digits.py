@@ -9,15 +9,15 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-import tests.golden.sixty_digits as sixty
+import tests.workshop.sixty_digits as sixty
 from p4dgs_ref import EQUATIONS
-from tests.golden.cases import Case, case_of, cases_of
-from tests.golden.sixty_digits import functions as f
-from tests.golden.sixty_digits.errors import error
-from tests.golden.sixty_digits.floats import exact
-from tests.golden.sixty_digits.gradients import FORMULAS
-from tests.golden.sixty_digits.record import FILE, SAMPLES, measure
 from tests.sampling import few
+from tests.workshop.cases import Case, case_of, cases_of
+from tests.workshop.sixty_digits import functions as f
+from tests.workshop.sixty_digits.errors import error
+from tests.workshop.sixty_digits.floats import exact
+from tests.workshop.sixty_digits.gradients import FORMULAS
+from tests.workshop.sixty_digits.record import FILE, SAMPLES, measure
 
 RECORDED = json.loads(FILE.read_text(encoding="utf-8"))["errors"]
 CASES = [(key, case.name) for key in EQUATIONS for case in cases_of(key)]
@@ -166,7 +166,7 @@ def compare(key, name, dtype, samples):
     errors, place = measured(key, name, dtype, samples), f"{key}/{name}"
     kept = RECORDED[key][dtype].get(name)
     assert (errors is None) == (kept is None), (
-        f"{place}: run python -m tests.golden.sixty_digits.record"
+        f"{place}: run python -m tests.workshop.sixty_digits.record"
     )
     for side, e in (errors or {}).items():
         if kept[side] is None:

@@ -6,8 +6,8 @@ import pytest
 
 import p4dgs_ref as p4
 from p4dgs_ref.lab.writer import read_csv
-from tests.golden import demo
 from tests.sampling import SEED, turn
+from tests.workshop import demo
 from tutorials.experiments import RECORDS
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve

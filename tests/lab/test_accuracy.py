@@ -17,12 +17,12 @@ from p4dgs_ref.lab.accuracy import forms, formulas, picture, trainings
 from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
-from tests.golden import demo
 from tests.sampling import few, of_the_day, turn
 from tests.tutorials import drawn
+from tests.workshop import demo
 
 TABLE = json.loads(
-    (Path(__file__).parents[1] / "golden" / "data" / "gaussian_bin_constants.json").read_text(
+    (Path(__file__).parents[1] / "workshop" / "data" / "gaussian_bin_constants.json").read_text(
         encoding="utf-8"
     )
 )

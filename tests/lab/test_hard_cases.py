@@ -9,9 +9,9 @@ from p4dgs_ref.lab.stability import FILE, hard_cases
 from p4dgs_ref.oracle.published import cases, flatten
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations import rules
-from tests.golden import demo, sixty_digits
-from tests.golden.cases import FLAGS, cases_of
-from tests.golden.hard_cases import catalogue, publish
+from tests.workshop import demo, sixty_digits
+from tests.workshop.cases import FLAGS, cases_of
+from tests.workshop.hard_cases import catalogue, publish
 
 ENTRIES = catalogue.ENTRIES.values()
 

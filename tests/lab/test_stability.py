@@ -12,7 +12,7 @@ from p4dgs_ref.lab import StudyError, stability
 from p4dgs_ref.lab.accuracy import formulas
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests.equations.rules import altered
-from tests.golden.hard_cases import catalogue
+from tests.workshop.hard_cases import catalogue
 
 
 @pytest.fixture(scope="module")

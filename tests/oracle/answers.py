@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.compare import cast, expected
-from tests.golden.subjects import subjects
+from tests.workshop.subjects import subjects
 
 
 def case_of(id):

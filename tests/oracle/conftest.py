@@ -4,9 +4,9 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.streams import export
-from tests.golden import kill_matrix
-from tests.golden.kill_matrix import Judge
 from tests.oracle.answers import right, write
+from tests.workshop import kill_matrix
+from tests.workshop.kill_matrix import Judge
 
 
 @pytest.fixture(scope="session")

@@ -18,8 +18,8 @@ from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests import processes
-from tests.golden.vectors import damaged
 from tests.oracle.answers import Port, broken, right, write
+from tests.workshop.vectors import damaged
 
 
 # --- the checker --------------------------------------------------------------------------------

@@ -13,11 +13,11 @@ from scipy.special import erf
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.oracle import checker, doctor, published, tolerance
 from p4dgs_ref.oracle.compare import compare, expected
-from tests.golden import checks
-from tests.golden.kill_matrix import laboratory
-from tests.golden.mutate import applied, mutations
 from tests.oracle.answers import Port, in_precision
 from tests.sampling import SEED, WHOLE, few
+from tests.workshop import checks
+from tests.workshop.kill_matrix import laboratory
+from tests.workshop.mutate import applied, mutations
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
 BOTH = ("out.", "in_bar.")
@@ -102,7 +102,7 @@ def test_an_inverted_mask_is_not_an_ignored_one():
     assert sum(r.wrong for r in results) == 3 and not any(r.hint or r.explanation for r in results)
 
 
-# --- ports with mistakes, written without the definitions of `tests/golden/mistakes` -------------
+# --- ports with mistakes, written without the definitions of `tests/workshop/mistakes` -----------
 
 
 def straight_through(case):

@@ -10,12 +10,12 @@ from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.checker import Report, check_subject
 from p4dgs_ref.oracle.compare import change_floats
 from p4dgs_ref.oracle.report import as_json
-from tests.golden.measured import single
-from tests.golden.mistakes import MISTAKES
-from tests.golden.mistakes.__main__ import answers
-from tests.golden.subjects import subjects
 from tests.oracle.answers import Port
 from tests.sampling import few
+from tests.workshop.measured import single
+from tests.workshop.mistakes import MISTAKES
+from tests.workshop.mistakes.__main__ import answers
+from tests.workshop.subjects import subjects
 
 SUBJECTS = published.subjects()
 KEYS = [key for key, row in SUBJECTS.items() if row["level"] != "L3"]

@@ -5,11 +5,11 @@ import random
 import pytest
 
 from p4dgs_ref.oracle import published
-from tests.golden import kill_matrix
-from tests.golden.equivalent import EQUIVALENT
-from tests.golden.kill_matrix import committed, is_killed, laboratory
-from tests.golden.mutate import mutations
 from tests.sampling import SEED, WHOLE
+from tests.workshop import kill_matrix
+from tests.workshop.equivalent import EQUIVALENT
+from tests.workshop.kill_matrix import committed, is_killed, laboratory
+from tests.workshop.mutate import mutations
 
 DRAW = random.Random(SEED)
 
@@ -19,7 +19,7 @@ def test_mutations_are_killed_or_equivalent():
     counts = committed()
     names = [mutation.id for mutation in mutations()]
     assert len(set(names)) == len(names)
-    assert len(names) == counts["total"], "`python -m tests.golden.kill_matrix` counts them anew"
+    assert len(names) == counts["total"], "`python -m tests.workshop.kill_matrix` counts them anew"
     assert counts["killed"] >= 0.98 * counts["total"]
     assert counts["killed"] + len(counts["survivors"]) == counts["total"]
     reasons = {survivor["id"]: survivor["reason"] for survivor in counts["survivors"]}

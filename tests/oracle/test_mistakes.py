@@ -5,10 +5,10 @@ import json
 import pytest
 
 from p4dgs_ref.oracle import checker, doctor, published
-from tests.golden.mistakes import MISTAKES
-from tests.golden.mistakes.__main__ import answers
 from tests.oracle.answers import Port
 from tests.sampling import few
+from tests.workshop.mistakes import MISTAKES
+from tests.workshop.mistakes.__main__ import answers
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # mistakes divide by zero
 

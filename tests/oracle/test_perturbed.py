@@ -1,6 +1,6 @@
 """No wrong tensor passes but those of a table, each with a reason.
 
-Every published tensor is changed in several ways, one at a time, as `tests/golden/perturbed.py`
+Every published tensor is changed in several ways, one at a time, as `tests/workshop/perturbed.py`
 says; the slow lane does all, the short one a sample.
 """
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import published
-from tests.golden.perturbed import PRECISIONS, changes, reasons, unnoticed
 from tests.sampling import few
+from tests.workshop.perturbed import PRECISIONS, changes, reasons, unnoticed
 
 KNOWN = reasons()
 SUBJECTS = [(key, precision) for key in published.subjects() for precision in PRECISIONS]

@@ -10,9 +10,9 @@ from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected
-from tests.golden import vectors
 from tests.oracle.answers import case_of, in_precision, write
 from tests.sampling import few
+from tests.workshop import vectors
 
 PRECISIONS = (np.float64, np.float32)
 

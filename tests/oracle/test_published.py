@@ -10,12 +10,12 @@ import pytest
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import checker, published, safetensors
 from p4dgs_ref.splatting.table import EQUATIONS
-from tests.golden.cases import FLAGS
-from tests.golden.mistakes import MISTAKES
-from tests.golden.subjects import lacking, subjects
-from tests.golden.vectors import WRITTEN, damaged
 from tests.oracle.answers import Port, places_in
 from tests.sampling import few
+from tests.workshop.cases import FLAGS
+from tests.workshop.mistakes import MISTAKES
+from tests.workshop.subjects import lacking, subjects
+from tests.workshop.vectors import WRITTEN, damaged
 
 
 @pytest.fixture(scope="module")
@@ -108,9 +108,9 @@ def lacking_here(key):
     if line := lacking(key):
         return line
     if key not in published.subjects():
-        return f"{key}: no vectors; `python -m tests.golden.vectors` publishes them"
+        return f"{key}: no vectors; `python -m tests.workshop.vectors` publishes them"
     if sum(mistake.equation == key for mistake in MISTAKES) < 2:
-        return f"{key}: fewer than two known mistakes in tests/golden/mistakes"
+        return f"{key}: fewer than two known mistakes in tests/workshop/mistakes"
     if not any(key in tutorial.keys for tutorial in TUTORIALS):
         return f"{key}: no tutorial in TUTORIALS of p4dgs_ref/lessons.py"
     return None
@@ -122,7 +122,7 @@ def test_no_equation_lacks_anything():
 
 def test_an_equation_that_lacks_something_leaves_the_others_alone(monkeypatch):
     monkeypatch.setitem(EQUATIONS, "volume", EQUATIONS["offsets"]._replace(key="volume"))
-    assert lacking_here("volume") == "volume: no cases in tests/golden/cases/volume.py"
+    assert lacking_here("volume") == "volume: no cases in tests/workshop/cases/volume.py"
     assert subjects.__wrapped__().keys() == subjects().keys()
 
 

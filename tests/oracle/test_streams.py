@@ -15,11 +15,11 @@ from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.oracle import checker, published, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.oracle.ports import FolderPort, PortError
-from tests.golden import decoded
-from tests.golden.decoded import write_answers
-from tests.golden.mistakes import MISTAKES
-from tests.golden.mistakes.__main__ import answers
 from tests.sampling import few
+from tests.workshop import decoded
+from tests.workshop.decoded import write_answers
+from tests.workshop.mistakes import MISTAKES
+from tests.workshop.mistakes.__main__ import answers
 
 ROWS = streams.read_rows()
 GOOD, BAD = ([row["name"] for row in ROWS[key]] for key in ("good", "bad"))
@@ -29,7 +29,7 @@ import base64, json, sys
 sys.path.insert(0, ROOT)
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.oracle.adapter import packed
-from tests.golden.decoded import decoded
+from tests.workshop.decoded import decoded
 for text in sys.stdin:
     request = json.loads(text)
     answer = {"p4dgs_oracle": 1} if "id" not in request else {"id": request["id"]}

@@ -8,10 +8,10 @@ import numpy as np
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.splatting.settings import EXACT
-from tests.golden import pipeline
-from tests.golden.cases import FLAGS
-from tests.golden.flat import camera_of
-from tests.golden.subjects import subjects
+from tests.workshop import pipeline
+from tests.workshop.cases import FLAGS
+from tests.workshop.flat import camera_of
+from tests.workshop.subjects import subjects
 
 ROWS = [subject for subject in subjects().values() if subject.level != "L1"]
 

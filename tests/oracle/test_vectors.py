@@ -7,9 +7,9 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import deviations
-from tests.golden import demo, measured, vectors
-from tests.golden.subjects import subjects
 from tests.sampling import few
+from tests.workshop import demo, measured, vectors
+from tests.workshop.subjects import subjects
 
 # What may differ from the published manifest: bytes move with the last digits of numbers.
 MEASURED = ("files", "generator")

@@ -10,8 +10,8 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.scenes.simulator.description import read_description
 from p4dgs_ref.scenes.simulator.trace import trace
-from tests.golden import tiny_scenes, two_cameras
 from tests.sampling import few
+from tests.workshop import tiny_scenes, two_cameras
 
 
 @pytest.mark.parametrize("name", few(["orientation", "figure", "twocams"], 0, 1))

@@ -8,7 +8,7 @@ from p4dgs_ref.oracle.compare import cast, compare
 from p4dgs_ref.splatting import fast, loop
 from p4dgs_ref.splatting.settings import KERNEL
 from p4dgs_ref.splatting.tiles import bin_splats
-from tests.golden import kernel
+from tests.workshop import kernel
 
 CASES = [case for key in ("kernel", "kernel_many") for case in published.cases(key)]
 NAMES = ("mean2d", "cov2d", "conic", "alpha", "color", "depth", "visible", "background")

@@ -11,8 +11,8 @@ from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from tests import ROOT
-from tests.golden import needles
 from tests.sampling import few
+from tests.workshop import needles
 
 # (height, width): one pixel, less than a tile, not a multiple of a tile, square.
 SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]

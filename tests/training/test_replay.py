@@ -9,9 +9,9 @@ from p4dgs_ref.oracle import FolderPort, checker
 from p4dgs_ref.oracle.report import as_json
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import density, objective, parameters, trainer
-from tests.golden import replay
 from tests.oracle.answers import Port, right, write
 from tests.sampling import few
+from tests.workshop import replay
 
 
 def test_a_report_says_after_which_step_which_array_differs_first(tmp_path):

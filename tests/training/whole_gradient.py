@@ -13,7 +13,7 @@ from p4dgs_ref.splatting.settings import FAST
 from p4dgs_ref.training import initial, objective
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import SMOKE
-from tests.golden.cases.hash_rate import surrogate
+from tests.workshop.cases.hash_rate import surrogate
 
 WIDTH, HEIGHT = 16, 12
 

@@ -9,8 +9,8 @@ import pytest
 
 from p4dgs_ref import EQUATIONS, lessons
 from p4dgs_ref.lessons import TUTORIALS
-from tests.golden import answers as solved
 from tests.sampling import few
+from tests.workshop import answers as solved
 from tutorials.tools import glossary, notebooks, shared, syllabus
 from tutorials.tools.shared import FOLDER
 
@@ -54,7 +54,7 @@ def test_solution_passes(tutorial, tmp_path):
 
 @pytest.mark.slow
 def test_stored_answers_are_those_of_the_solutions():
-    """Where it fails, `python -m tests.golden.answers` makes them anew."""
+    """Where it fails, `python -m tests.workshop.answers` makes them anew."""
     made, stored = solved.answers(), lessons.read_stored("answers")
     assert set(made) == set(stored)
     for exercise, answer in made.items():

@@ -10,9 +10,9 @@ import pytest
 
 from p4dgs_ref.report import view
 from tests import ROOT
-from tests.golden import demo, lambdas
 from tests.processes import CAPTURED
 from tests.sampling import of_the_day, turn
+from tests.workshop import demo, lambdas
 from tutorials.tools.figures import THREAD
 
 TUTORIALS = ROOT / "tutorials"
@@ -76,6 +76,6 @@ def test_the_scripts_stay_short():
 @pytest.mark.skipif(not all(map(shutil.which, ["node", "chromium"])), reason="no node, no chromium")
 def test_the_guide_leads_through_a_file(tmp_path):
     """Ten steps in two windows; keys, fingers, links; no motion, no scripts, paper."""
-    script = ROOT / "tests" / "golden" / "browser.js"
+    script = ROOT / "tests" / "workshop" / "browser.js"
     run = subprocess.run(["node", script, tmp_path, "guide"], **CAPTURED)
     assert run.returncode == 0, run.stdout + run.stderr

@@ -16,8 +16,8 @@ from p4dgs_ref.oracle.adapter import Adapter
 from p4dgs_ref.report.inspect import anchor_bits, components
 from tests import ROOT
 from tests.codec.models import ENDS_OF_RANGES, with_field
-from tests.golden import needles
-from tests.golden.damage import mutation
+from tests.workshop import needles
+from tests.workshop.damage import mutation
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 VIEWER = Path(p4.__file__).parent / "viewer"

@@ -9,7 +9,7 @@ import re
 from collections import namedtuple
 
 from p4dgs_ref import EQUATIONS
-from tests.golden import shape_comments
+from tests.workshop import shape_comments
 from tutorials.tools.architecture import FRAMES
 from tutorials.tools.shared import file_of, markdown_table
 

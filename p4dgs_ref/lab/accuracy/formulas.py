@@ -17,7 +17,7 @@ from ...equations import likelihood
 from ...equations.likelihood import PHI_0, phi
 
 # Bits and slopes of points of the plane of bins, from 60-digit arithmetic.
-# `python -m tests.golden.likelihood_points` writes them in a checkout.
+# `python -m tests.workshop.likelihood_points` writes them in a checkout.
 DIGITS = Path(__file__).with_name("sixty_digits.json")
 SMALLEST_BITS = 1e-6  # errors of fewer bits are relative to this
 HAC_FLOOR = 1e-6  # of p, in HAC: at most 19.93 bits

@@ -17,7 +17,7 @@ Inputs, cotangents and true values are those of the published vectors, where a c
     exact       [tensor, index, number] where the vectors hold this project's own gradient: the
                 number with the largest error, from 50 digits; null is not compared
 
-In a checkout, `python -m tests.golden.hard_cases.publish` writes the file.
+In a checkout, `python -m tests.workshop.hard_cases.publish` writes the file.
 """
 
 import json

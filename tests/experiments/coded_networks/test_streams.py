@@ -10,8 +10,8 @@ import pytest
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.oracle.streams import TYPES
 from tests.codec.models import flips, prefixes, refusal
-from tests.golden.decoded import arrays_of
 from tests.sampling import SEED
+from tests.workshop.decoded import arrays_of
 from tutorials.experiments.coded_networks.file import decode, encode, quantised_of, read_container
 
 STREAMS = Path(__file__).with_name("streams")
