@@ -160,7 +160,7 @@ figures.show(figure, "23_accuracy_versus_time_order")
 from functools import partial
 
 from p4dgs_ref.lab.accuracy import forms, formulas
-from p4dgs_ref.lab.clock import alternate, can_tell
+from p4dgs_ref.lab.clock import alternate, differ
 from p4dgs_ref.splatting import fast
 from p4dgs_ref.splatting.settings import FAST, KERNEL
 
@@ -309,7 +309,7 @@ def call():
 
 twice = alternate({"once": call, "again": call}, 5)
 print("median and quartiles in ms:", {n: np.round(t[:3], 3).tolist() for n, t in twice.items()})
-print("they can be told apart:", can_tell(twice["once"], twice["again"]))
+print("they can be told apart:", differ(twice["once"], twice["again"]))
 
 # %% [markdown]
 # ## Backward by hand

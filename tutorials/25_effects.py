@@ -100,7 +100,7 @@ assert [2 * parameters_of_psi_d(effects) for effects in lists] == [107540, 10483
 
 # %%
 import p4dgs_ref as p4
-from p4dgs_ref.lab.effect_ledger import counted
+from p4dgs_ref.lab.effect_ledger import count_work
 from p4dgs_ref.training.trainer import Trainer
 
 scenes = {name: p4.load_scene(name) for name in ("static", "bouncing")}
@@ -110,7 +110,7 @@ for name, scene in scenes.items():
     trainer = Trainer(scene, choose("smoke"), seed=0)
     while trainer.stage < 4:
         trainer.step()
-    with counted() as work[name]:
+    with count_work() as work[name]:
         trainer.step()
     called[name] = {key for key, _ in work[name].calls}
 assert called["static"] < called["bouncing"]
@@ -243,9 +243,9 @@ assert np.array_equal(s_t, x)
 # %%
 from p4dgs_ref.report.inspect import components
 
-with counted() as wasted:
+with count_work() as wasted:
     neutral.gaussians(0.3, camera)
-with counted() as spared:
+with count_work() as spared:
     absent.gaussians(0.3, camera)
 bytes_of_zeros = components(p4.encode(neutral))["deformation_mlp"]
 print(
@@ -334,11 +334,11 @@ figures.show(
 # decide, the program lists the effect, because one too few is worse than one too many.
 
 # %%
-from p4dgs_ref.lab.suggest import paired, verdict
+from p4dgs_ref.lab.suggest import gains_by_view, verdict
 
 evidence = {}
 for name, scene in scenes.items():
-    gains = paired((scene, fx.MOTION, "translation", 0, 300))  # dB by true times, each view
+    gains = gains_by_view((scene, fx.MOTION, "translation", 0, 300))  # dB by true times, each view
     evidence[name], reason = verdict("translation", [gains], len(scene.train))
     print(f"{name}: translation? {evidence[name]}: {reason}")
 assert evidence == {"static": "no", "bouncing": "yes"}

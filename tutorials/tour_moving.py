@@ -14,7 +14,7 @@ from tutorials.tools.shared import in_few_colors
 SIGMA = 2.0  # steps
 
 
-@figures.styled(show.STYLE)
+@figures.figure_style(show.STYLE)
 def frame(draw, *values):
     """The pixels of a figure of two panels that `draw` fills."""
     figure = figures.new_figure(figsize=(7, 3.6), layout="constrained")

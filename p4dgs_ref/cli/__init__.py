@@ -17,7 +17,7 @@ class UsageError(ValueError):
     """A mistake on the command line: one line naming the option or file and what was expected."""
 
 
-def require(condition, where, expected):
+def require_usage(condition, where, expected):
     """Raise a UsageError unless the condition holds."""
     if not condition:
         raise UsageError(f"{where}: {expected}")
@@ -80,7 +80,7 @@ def ask(arguments, what, seconds, free=0):
     estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     wanted = arguments.yes or seconds < free
-    require(
+    require_usage(
         wanted or is_seen,
         "--yes",
         f"expected for {estimate}, where there is no terminal to ask on",

@@ -16,7 +16,7 @@ from ..output import new_file, refuse_existing, staged_folder, writable_folder, 
 from ..report import figures
 from ..report import inspect as sizes
 from ..report import view as pages
-from ..report.evaluate import compression, json_safe, timed
+from ..report.evaluate import call_with_seconds, compression, json_safe
 from ..scenes.files import write_image
 from ..scenes.load import read_points_for, read_scene_json
 from ..scenes.scene import size_of
@@ -30,7 +30,7 @@ from . import (
     print_result,
     print_warning,
     progress,
-    require,
+    require_usage,
     show,
     text,
 )
@@ -50,14 +50,14 @@ def read_preset(name, changes=()):
 
 def read_file(path):
     """The bytes of a file, its model, and the seconds that decoding took."""
-    require(
+    require_usage(
         Path(path).is_file() or not Path(path).exists(),
         path,
         "a folder, pipe or device; expected a .p4dgs file",
     )
     try:
         data = container.read_file(path)
-        return data, *timed(p4.decode, data)
+        return data, *call_with_seconds(p4.decode, data)
     except container.BitstreamError as error:
         raise UsageError(f"{path}: {error}") from None
 
@@ -178,11 +178,13 @@ def render(arguments):
     """Draw pictures of a file into a new folder; those of a fixed camera also as a GIF."""
     output, scene = Path(arguments.output), arguments.scene
     fixed = {name: value for name in FIXED if (value := getattr(arguments, name)) is not None}
-    require(not (scene and fixed), f"--{', --'.join(fixed)}", "expected without --scene")
-    require(scene or arguments.downscale == 1, "--downscale", "expected together with --scene")
+    require_usage(not (scene and fixed), f"--{', --'.join(fixed)}", "expected without --scene")
+    require_usage(
+        scene or arguments.downscale == 1, "--downscale", "expected together with --scene"
+    )
     _, model, _ = read_file(arguments.file)
     with staged_folder(output) as staging:
-        require(
+        require_usage(
             not any(output.glob("[!.]*")),
             output,
             "has files already; expected a new or an empty folder, so that all pictures are of one "

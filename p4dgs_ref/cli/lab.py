@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from ..output import new_file, staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import packaged_folder
-from . import ask, print_result, progress, require, show
+from . import ask, print_result, progress, require_usage, show
 from .job import load
 
 JOBS = os.cpu_count() or 1  # processes of independent trainings
@@ -49,7 +49,9 @@ def effects(arguments):
     from ..lab import effect_ledger
     from ..lab.accuracy import trainings
 
-    require(arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest")
+    require_usage(
+        arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest"
+    )
     if arguments.suggest:
         return suggest_effects(arguments)
     scene = load(arguments)
@@ -73,7 +75,7 @@ def suggest_effects(arguments):
     scene = load(arguments)
     folder = scene.source
     if arguments.apply:
-        require(
+        require_usage(
             packaged_folder() not in folder.resolve().parents,
             "--apply",
             f"{folder} is a packaged scene; expected a folder of yours",

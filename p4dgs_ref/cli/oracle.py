@@ -10,7 +10,7 @@ from ..oracle.ports import FolderPort
 from ..oracle.report import as_json, listing
 from ..oracle.streams import export
 from ..splatting.table import to_markdown
-from . import print_result, progress, require, show
+from . import print_result, progress, require_usage, show
 
 
 def list_cases(arguments):
@@ -32,15 +32,15 @@ def export_vectors(arguments):
 def port_of(arguments):
     """A context with the port that answers: a folder of answers, or a running program."""
     folder, command = arguments.folder, arguments.adapter
-    require(
+    require_usage(
         (folder is None) != (command is None),
         "oracle check",
         "expected either a folder of a port's answers or --adapter CMD",
     )
     if command:
         return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
-    require(Path(folder).is_dir(), folder, "expected a folder of a port's answers")
-    require(
+    require_usage(Path(folder).is_dir(), folder, "expected a folder of a port's answers")
+    require_usage(
         not (arguments.dtype or arguments.timeout),
         "--dtype, --timeout",
         "these apply to --adapter only; the precision of a folder is that of its tensors",
@@ -55,10 +55,10 @@ def check(arguments):
         for name in names:
             subject = name.rpartition("/")[0]
             known = published.LEVELS if option == "--level" else published.names(subject)
-            require(name in known, f"{option} {name}", published.meant(name, known))
+            require_usage(name in known, f"{option} {name}", published.meant(name, known))
     with port_of(arguments) as port:
         report = check_port(port, level, only, progress, arguments.strict)
-    require(
+    require_usage(
         report.results,
         f"--level {' '.join(level)} --only {' '.join(only)}",
         "no such case; `p4dgs-ref oracle list` lists them",

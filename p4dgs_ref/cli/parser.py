@@ -37,7 +37,7 @@ class Version(argparse.Action):
 
 
 # --- types of values, as argparse asks for them ---
-def bounded(kind, low, high=1e18):
+def number_in_range(kind, low, high=1e18):
     """A reader of an integer or a real number from low to high."""
 
     def read(text):
@@ -50,7 +50,7 @@ def bounded(kind, low, high=1e18):
     return read
 
 
-def given(text):
+def nonempty_text(text):
     """A text as it is, unless it is empty: as a path, it would stand for the current folder.
 
     No path contains NUL.
@@ -61,7 +61,7 @@ def given(text):
 
 
 # --- parts of the table ---
-def option(*names, type=given, **settings):
+def option(*names, type=nonempty_text, **settings):
     """An argument of a command with a value, in the words of argparse's `add_argument`."""
     return names, {"type": type, **settings}
 
@@ -89,14 +89,20 @@ SCENE_HELP = "a folder of pictures with cameras, or the name of a packaged scene
 SCENE = option("scene", help=SCENE_HELP)
 DOWNSCALE = option(
     "--downscale",
-    type=bounded(int, 1),
+    type=number_in_range(int, 1),
     default=1,
     metavar="N",
     help="divide both sides of the scene's pictures by N (default 1)",
 )
 SETTINGS = (
     option("--preset", default="tiny", metavar="NAME", help="one of `presets` (default tiny)"),
-    option("--seed", type=bounded(int, 0), default=0, metavar="N", help="random seed (default 0)"),
+    option(
+        "--seed",
+        type=number_in_range(int, 0),
+        default=0,
+        metavar="N",
+        help="random seed (default 0)",
+    ),
     several("--set", "KEY=VALUE", "change a field of the preset; may be repeated", dest="changes"),
     switch("--quiet", "show no progress"),
     YES,
@@ -124,7 +130,7 @@ ORACLE = {
             ),
             option(
                 "--timeout",
-                type=bounded(float, 0.01, 86400),
+                type=number_in_range(float, 0.01, 86400),
                 metavar="SECONDS",
                 help="limit for each answer of the adapter, compilation included (default 10)",
             ),
@@ -188,27 +194,27 @@ GROUPS = {
                 output("new folder to write to", required=True),
                 option(
                     "--azimuth",
-                    type=bounded(float, -360, 360),
+                    type=number_in_range(float, -360, 360),
                     help="direction of the camera, degrees about the z axis (default 40)",
                 ),
                 option(
                     "--elevation",
-                    type=bounded(float, -89, 89),
+                    type=number_in_range(float, -89, 89),
                     help="degrees above the xy plane (default 30)",
                 ),
                 option(
                     "--distance",
-                    type=bounded(float, 1e-3, 1e6),
+                    type=number_in_range(float, 1e-3, 1e6),
                     help="from the anchors (default 3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
-                    type=bounded(int, 1, 4096),
+                    type=number_in_range(int, 1, 4096),
                     help="pixels along a side (default 128)",
                 ),
                 option(
                     "--frames",
-                    type=bounded(int, 1, 10_000),
+                    type=number_in_range(int, 1, 10_000),
                     help="number of pictures, from time 0 to 1 (default 24)",
                 ),
                 option("--scene", help="use the test cameras and times of this scene instead"),
@@ -317,7 +323,7 @@ GROUPS = {
                 ),
                 option(
                     "--seed",
-                    type=bounded(int, 0),
+                    type=number_in_range(int, 0),
                     metavar="N",
                     help="seed of the inputs, which students must not know (default: drawn)",
                 ),

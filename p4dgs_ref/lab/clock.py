@@ -22,7 +22,7 @@ def clocks():
     return np.array([time.process_time(), time.perf_counter()])
 
 
-def clocked(function):
+def call_with_clocks(function):
     """The result of a function, and the seconds [2] that it took on both clocks."""
     start = clocks()
     result = function()
@@ -51,15 +51,15 @@ def alternate(functions, repeats):
     The functions are called in turn, so that a disturbance meets all of them, after one call to
     warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
     """
-    spent = sum(clocked(function)[1][0] for function in functions.values())
+    spent = sum(call_with_clocks(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}
     for _ in range(round(repeats * np.clip(ROUND_SECONDS / spent, 1, 5))):
         for name, function in functions.items():
-            turns[name].append(clocked(function)[1])
+            turns[name].append(call_with_clocks(function)[1])
     return {name: times_of(seconds) for name, seconds in turns.items()}
 
 
-def can_tell(one, other):
+def differ(one, other):
     """Whether two Times differ: by more than the wider of their ranges from quartile to quartile.
 
     These ranges must not overlap either.

@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import effects as fx
 from ..model import declared_numbers
-from ..report.figures import BLUE, save_figure, styled, subplots
+from ..report.figures import BLUE, figure_style, save_figure, subplots
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting import render
 from ..splatting.settings import FAST
@@ -46,7 +46,7 @@ class Work(NamedTuple):
 
 
 @contextmanager
-def counted():
+def count_work():
     """A `with` block that gives the Work of the equations that are called in it."""
     work = Work(Counter(), Counter())
 
@@ -95,7 +95,7 @@ def costs(model, frames):
     were called.
     """
     occlusion = "occlusion" in model.design.effects
-    with counted() as work:
+    with count_work() as work:
         for camera, time in frames:
             *looks, _ = model.gaussians(time, camera)
             render.forward(*looks, camera, model.background, FAST, occlusion)
@@ -107,7 +107,7 @@ def costs(model, frames):
 
 
 # --- the ledger -----------------------------------------------------------------------------------
-def switched(scene, effect):
+def toggle_effect(scene, effect):
     """The scene with one effect more, or less, on its list."""
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
@@ -126,7 +126,7 @@ def of_scene(scene):
         for effect in MODEL_EFFECTS
     ]
     for row in (row for row in rows if not row["listed"]):
-        with_it = Trainer(switched(scene, row["effect"]), TINY).model()
+        with_it = Trainer(toggle_effect(scene, row["effect"]), TINY).model()
         cost = costs(with_it, frames)[0][row["effect"]]
         row |= {f"if_{kind}": amount for kind, amount in cost.items()}
     return {"effects": rows, "never_called": [key for key in CALLED_FOR if key not in called]}
@@ -138,7 +138,7 @@ def tasks_of(scene, seeds=SEEDS, preset=TINY):
     builds = {AS_LISTED: scene}
     for effect in MODEL_EFFECTS:
         how = "without" if effect in scene.effects else "with"
-        builds[f"{how} {effect}"] = switched(scene, effect)
+        builds[f"{how} {effect}"] = toggle_effect(scene, effect)
     return [
         (label, build, preset, seed) for seed in range(seeds) for label, build in builds.items()
     ]
@@ -167,7 +167,7 @@ def add_gains(ledger, rows):
         row |= found[row["effect"]]
 
 
-def said(row):
+def gain_text(row):
     """The gain of a row, as text; one within twice its standard error cannot be told from none."""
     gain = f"{row['gain']:+.2f} ±{row['within']:.2f}"
     return f"none ({gain})" if abs(row["gain"]) <= row["within"] else gain
@@ -189,7 +189,7 @@ def to_text(result):
             "effect": row["effect"],
             "yes": "yes" if row["listed"] else "no",
             **{kind: amount(row, kind) for kind in ("work", "bytes")},
-            **({"gain": said(row)} if "gain" in row else {}),
+            **({"gain": gain_text(row)} if "gain" in row else {}),
         }
         for row in result["effects"]
     ]
@@ -197,7 +197,7 @@ def to_text(result):
     return "\n".join([*text_table(columns, cells), "", f"equations never called: {never}"])
 
 
-@styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
+@figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_ledger(path, rows):
     """Work, bytes and, where the rows have it, gain of every effect.
 
@@ -210,9 +210,9 @@ def draw_ledger(path, rows):
     }
     if "gain" in rows[0]:
         panels["Gain: dB with it, minus without"] = [
-            (row["gain"], said(row))
+            (row["gain"], gain_text(row))
             if row["listed"]
-            else (0, f"0 ({said(row).partition(' (')[0]} if listed)")
+            else (0, f"0 ({gain_text(row).partition(' (')[0]} if listed)")
             for row in rows
         ]
     figure, axes = subplots(len(panels), figsize=(4.2, 2.2 * len(panels)))

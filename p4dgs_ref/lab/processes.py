@@ -27,14 +27,14 @@ def end_with_parent():
     os._exit(1)
 
 
-def recorded(function, *arguments):
+def call_and_record(function, *arguments):
     """The result of a call in a worker, and the warnings that it gave."""
     with warnings.catch_warnings(record=True) as given:
         result = function(*arguments)
     return result, [one.message for one in given]
 
 
-def received(result, given):
+def result_of(result, given):
     """The result of a call in a worker; its warnings are given again, by this process."""
     for warning in given:
         warnings.warn(warning, stacklevel=3)
@@ -58,9 +58,9 @@ def in_processes(function, tasks, jobs):
     try:
         # A process whose parent is interrupted before it has read its task ends with a traceback.
         with deferred():
-            futures = [pool.submit(recorded, function, task) for task in tasks]
+            futures = [pool.submit(call_and_record, function, task) for task in tasks]
         for future in futures:
-            yield received(*future.result())
+            yield result_of(*future.result())
     except BrokenProcessPool:
         raise ChildProcessError(
             "a worker process ended before its work was done: memory ran out, or a script starts "

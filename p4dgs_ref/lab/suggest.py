@@ -53,7 +53,7 @@ class MisplacedCamera(Camera):
         return self.place
 
 
-def planned(scene):
+def plan(scene):
     """What is trained: (scene, effects of motion, effect, first view kept back, iterations)."""
     moving = fx.MOTION if len({view.time for view in scene.train}) > 1 else ()
     return [
@@ -73,7 +73,7 @@ def seconds_of(scene, jobs=1):
     """About how many seconds `suggest` takes, judging by steps in which things move."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
     ms = alternate({"step": step}, 5)["step"].ms
-    return 1e-3 * ms * steps_of(planned(scene)) / jobs
+    return 1e-3 * ms * steps_of(plan(scene)) / jobs
 
 
 def suggest(scene, progress=lambda line: None, jobs=1):
@@ -83,8 +83,8 @@ def suggest(scene, progress=lambda line: None, jobs=1):
     is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
     evidence is a phrase with a number.
     """
-    views, tasks, gains = scene.train, planned(scene), {effect: [] for effect in PAIRS}
-    for (_, _, effect, *_), gain in zip(tasks, in_processes(paired, tasks, jobs)):
+    views, tasks, gains = scene.train, plan(scene), {effect: [] for effect in PAIRS}
+    for (_, _, effect, *_), gain in zip(tasks, in_processes(gains_by_view, tasks, jobs)):
         gains[effect].append(gain)
         progress(f"{effect}: {sum(map(len, gains.values()))} of {len(tasks)} pairs")
     answers = {effect: verdict(effect, pairs, len(views)) for effect, pairs in gains.items()}
@@ -104,7 +104,7 @@ def suggest(scene, progress=lambda line: None, jobs=1):
     ]
 
 
-def paired(task):
+def gains_by_view(task):
     """By how many dB an effect improves each view that was kept back: an array."""
     scene, moving, effect, fold, iterations = task
     views, effects = scene.train, {*moving, "occlusion", "background", effect}
@@ -114,12 +114,12 @@ def paired(task):
             for switched in (effects, effects - {effect})
         )
     else:
-        dealt = shuffled(views, effect, fold)
+        dealt = shuffle_views(views, effect, fold)
         with_it, without_it = scores(scene, dealt, [views, dealt], effects, fold, iterations)
     return with_it - without_it
 
 
-def shuffled(views, effect, seed):
+def shuffle_views(views, effect, seed):
     """The views with the times, or the places of the cameras, of other views."""
     other = [views[i] for i in np.random.default_rng(seed).permutation(len(views))]
     if effect in fx.MOTION:

@@ -24,7 +24,7 @@ def as_number(text):
     return text
 
 
-def grouped(rows, *keys):
+def group_rows(rows, *keys):
     """The rows that agree in some fields, {entries of these fields: rows}, in their order."""
     groups = {}
     for row in rows:
@@ -38,17 +38,17 @@ def text_table(columns, rows):
     `columns` is {heading: form}; a form is filled with the fields of a row. Fields that are None or
     missing give a dash.
     """
-    return aligned([columns, *([filled(form, row) for form in columns.values()] for row in rows)])
+    return align([columns, *([fill_form(form, row) for form in columns.values()] for row in rows)])
 
 
-def aligned(cells):
+def align(cells):
     """Rows of text as lines, the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*cells)]
     forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
     return ["  ".join(map(format, line, forms)).rstrip() for line in cells]
 
 
-def filled(form, row):
+def fill_form(form, row):
     """A form filled with a row, or a dash."""
     try:
         return form.format(**row)

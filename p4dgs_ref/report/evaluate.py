@@ -17,7 +17,7 @@ FLOATS_PER_GAUSSIAN = 59
 FLOATS_WITHOUT_SH_REST = 14
 
 
-def timed(function, *args, **kwargs):
+def call_with_seconds(function, *args, **kwargs):
     """The result of a function and the seconds it took."""
     start = time.perf_counter()
     return function(*args, **kwargs), time.perf_counter() - start
@@ -39,7 +39,7 @@ def score(image, view):
     }
 
 
-def trained_on(scene):
+def names_in_training(scene):
     """The names of test views that are training views: same picture, or same camera and time."""
 
     def marks(view):
@@ -71,16 +71,18 @@ def evaluate(
             "ones, by load_scene(..., background=...) or the effect `background` in scene.json",
             stacklevel=2,
         )
-    seen = trained_on(scene) if split == "test" else ()
+    seen = names_in_training(scene) if split == "test" else ()
     if seen:
         warnings.warn(
             f"scene {scene.name}: {len(seen)} of {len(views)} test views are training views (same "
             f"picture, or same camera and time), such as {seen[0]}",
             stacklevel=2,
         )
-    images, seconds = map(
-        list, zip(*(timed(model.render, view.camera, view.time, settings) for view in views))
-    )
+    images, seconds = [], []
+    for view in views:
+        image, spent = call_with_seconds(model.render, view.camera, view.time, settings)
+        images.append(image)
+        seconds.append(spent)
     size = size_of(images[0])
     rows = [
         {"name": view.name, "time": view.time, "size": size, **score(image, view)}

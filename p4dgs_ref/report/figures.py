@@ -11,7 +11,7 @@ from ..splatting import render
 from ..splatting.camera import look_at
 from ..splatting.settings import FAST
 from ..training.progress import COLUMNS
-from .evaluate import trained_on
+from .evaluate import names_in_training
 
 STAGES = "iteration (stages: 1 static, 2 + noise, 3 + motion, 4 + rate)"
 LABELS = {
@@ -42,7 +42,7 @@ STYLE = {  # letters that stay readable in a small picture
 
 
 @contextmanager
-def styled(settings=STYLE):
+def figure_style(settings=STYLE):
     """Within this context, or this decorator, figures look the same in every program.
 
     The settings of matplotlib are its defaults and these; afterwards they are as they were.
@@ -95,7 +95,7 @@ def literal(text):
     return text.replace("$", r"\$")
 
 
-@styled()
+@figure_style()
 def draw_pictures(path, title, rows):
     """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
     shape = len(rows), len(rows[0][1])
@@ -131,7 +131,7 @@ def write_comparison(folder, scene, rows, images, count=4):
     order = np.argsort([view.time for view in scene.test], kind="stable")
     index = order[np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)]
     views, images = [scene.test[i] for i in index], [np.clip(images[i], 0, 1) for i in index]
-    unseen = "" if trained_on(scene) else ", not used in training"
+    unseen = "" if names_in_training(scene) else ", not used in training"
     draw_pictures(
         folder / "comparison.png",
         f"{scene.name}: test views of {rows[0]['size']} pixels{unseen}",
@@ -169,7 +169,7 @@ def write_motion(path, model, camera, frames=24):
     path.write_bytes(gif_of(images))
 
 
-@styled()
+@figure_style()
 def write_size(folder, name, metrics):
     """size.csv and size.png: the bytes of a file by component, from the largest to the smallest."""
     components, size = metrics["components"], metrics["bytes"]
@@ -211,7 +211,7 @@ def heat_image(model, colors, camera, t, settings=FAST):
     return image
 
 
-@styled()
+@figure_style()
 def write_training(folder, history, stage_ends):
     """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
     write_csv(folder / "training.csv", [dict(zip(COLUMNS, row)) for row in history])

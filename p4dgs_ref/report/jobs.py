@@ -15,7 +15,7 @@ from ..training import advice
 from ..training.fit import fit, identity, save_checkpoint
 from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
-from .evaluate import compression, evaluate, json_safe, timed
+from .evaluate import call_with_seconds, compression, evaluate, json_safe
 
 OVERFITTED = 6  # dB; training views that are better than test views by more get a warning
 
@@ -45,14 +45,14 @@ def main_job(
             refuse_existing(Path(folder) / file)
         for sentence in advice.before(scene, preset, seed):
             warnings.warn(sentence, stacklevel=2)
-        trainer, seconds = timed(fit, scene, preset, seed, stream=stream)
+        trainer, seconds = call_with_seconds(fit, scene, preset, seed, stream=stream)
         try:
-            data, encode_seconds = timed(encode, trainer.model())
+            data, encode_seconds = call_with_seconds(encode, trainer.model())
         except (EncodeError, OverflowError) as error:
             save_checkpoint(trainer, folder, identity(trainer))
             raise EncodeError(f"{error}; the training is kept in {folder}") from None
         path.write_bytes(data)
-        model, decode_seconds = timed(decode, path.read_bytes())
+        model, decode_seconds = call_with_seconds(decode, path.read_bytes())
         measures, rows, images = evaluate(model, scene)
         trained = evaluate(model, scene, split="train")[0]["psnr_db"]
         if trained > measures["psnr_db"] + OVERFITTED:

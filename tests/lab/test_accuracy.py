@@ -127,10 +127,10 @@ def made_up(**changes):
 
 def test_a_row_is_compared_with_its_reference():
     loop, exact, *_ = made_up(within=0.1)
-    assert accuracy.compared(exact, loop)["faster"] == "7 times as fast"
-    assert accuracy.compared(loop, exact)["faster"] == "7 times as slow"
+    assert accuracy.comparison(exact, loop)["faster"] == "7 times as fast"
+    assert accuracy.comparison(loop, exact)["faster"] == "7 times as slow"
     near = {**exact, "ms": 1001, "ms_low": 990, "ms_high": 1010}
-    assert accuracy.compared(near, loop)["faster"] == "as fast"
+    assert accuracy.comparison(near, loop)["faster"] == "as fast"
     assert [accuracy.duration(ms) for ms in (0.1234, 999, 1e5)] == ["0.123 ms", "999 ms", "100 s"]
     text = accuracy.to_text(made_up(within=0.1, stretch=2.5))
     assert "1.30 ±0.10 dB less" in text and "Disturbed: the wall clock ran 2.5" in text
@@ -159,7 +159,7 @@ def test_no_label_of_the_picture_covers_another(draw, width, tmp_path, monkeypat
 def quick(monkeypatch):
     """Every form is called once, and trainings have five steps or four, in this process."""
 
-    def timed(choices):
+    def measure_in_turns(choices):
         with np.errstate(all="ignore"):
             return {
                 choice: {"loss": float(loss(run())), "ms": 1.0, "ms_low": 1.0, "ms_high": 1.0}
@@ -169,7 +169,7 @@ def quick(monkeypatch):
     scene = load_scene("static", downscale=8)
     presets = [replace(SMOKE, stage_ends=(1, 2, 3, end)) for end in (5, 4)]
     tasks = [("", scene, preset, seed) for preset in presets for seed in (0, 1)]
-    monkeypatch.setattr(accuracy, "timed", timed)
+    monkeypatch.setattr(accuracy, "measure_in_turns", measure_in_turns)
     monkeypatch.setattr(trainings, "tasks_of_record", lambda: tasks)
     monkeypatch.setattr(picture, "draw", lambda path, rows: path.write_bytes(b""))
     monkeypatch.setattr(commands, "JOBS", 1)

@@ -58,7 +58,7 @@ def test_what_interrupts_an_equation_stays_the_error_while_work_is_counted():
         def __getitem__(self, key):
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), effect_ledger.counted() as work:
+    with pytest.raises(KeyboardInterrupt), effect_ledger.count_work() as work:
         offsets.forward(Stopped(), 1, 1)
     assert not work.calls
 
@@ -78,7 +78,9 @@ def test_work_that_effects_share_belongs_to_none_of_them():
 def test_trainings_differ_in_one_effect_only():
     scene = load_scene("glossy")
     for effect in MODEL_EFFECTS:
-        assert set(effect_ledger.switched(scene, effect).effects) ^ set(scene.effects) == {effect}
+        assert set(effect_ledger.toggle_effect(scene, effect).effects) ^ set(scene.effects) == {
+            effect
+        }
     labels = [label for label, *_ in effect_ledger.tasks_of(scene, seeds=2)]
     assert len(labels) == 2 * (1 + len(MODEL_EFFECTS)) and labels[0] == "as listed"
 
@@ -100,7 +102,7 @@ def test_a_gain_within_twice_its_standard_error_is_drawn_as_none(monkeypatch):
         "never_called": [],
     }
     effect_ledger.add_gains(ledger, rows)
-    said = {row["effect"]: effect_ledger.said(row) for row in ledger["effects"]}
+    said = {row["effect"]: effect_ledger.gain_text(row) for row in ledger["effects"]}
     assert said == {
         **dict.fromkeys(MODEL_EFFECTS, "none (+0.00 ±0.20)"),
         "rotation": "+5.00 ±0.00",

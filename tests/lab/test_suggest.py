@@ -30,7 +30,7 @@ def quick(monkeypatch):
     """No training: every view gains what this dictionary says of its effect, give or take 0.1."""
     gains = dict.fromkeys(("translation", *suggest.OF_VIEW, "occlusion"), 0.0)
     noise = np.linspace(-0.1, 0.1, 8)
-    monkeypatch.setattr(suggest, "paired", lambda task: gains[task[2]] + noise)
+    monkeypatch.setattr(suggest, "gains_by_view", lambda task: gains[task[2]] + noise)
     return gains
 
 
@@ -105,11 +105,11 @@ def test_background_is_read_from_the_pixels(quick):
 
 def test_dealt_out_values_are_those_of_other_views():
     views = load_scene("bouncing").train
-    dealt = suggest.shuffled(views, "translation", 0)
+    dealt = suggest.shuffle_views(views, "translation", 0)
     assert sorted(v.time for v in dealt) == sorted(v.time for v in views)
     assert sum(a.time != b.time for a, b in zip(dealt, views)) > 40
     assert all(a.image is b.image and a.camera is b.camera for a, b in zip(dealt, views))
-    dealt = suggest.shuffled(views, "view_color", 0)
+    dealt = suggest.shuffle_views(views, "view_color", 0)
     moved = [a.camera.center - b.camera.center for a, b in zip(dealt, views)]
     assert np.count_nonzero(np.linalg.norm(moved, axis=1)) > 40
     assert all(np.array_equal(a.camera.T, b.camera.T) for a, b in zip(dealt, views))
@@ -119,7 +119,7 @@ def test_dealt_out_values_are_those_of_other_views():
 def test_both_halves_are_those_of_whole_trainings():
     """A training that goes on twice from its middle is the same as two trainings."""
     scene = load_scene("static", downscale=4)
-    dealt = suggest.shuffled(scene.train, "translation", 1)
+    dealt = suggest.shuffle_views(scene.train, "translation", 1)
     options = set(MODEL_EFFECTS), 0, 12
     both = suggest.scores(scene, dealt, [scene.train, dealt], *options)
     alone = [suggest.scores(scene, dealt, [views], *options)[0] for views in (scene.train, dealt)]
@@ -128,7 +128,7 @@ def test_both_halves_are_those_of_whole_trainings():
 
 def test_all_trainings_together_are_shorter_than_one():
     scene = load_scene("bouncing")
-    assert 0.9 * TINY.iterations < suggest.steps_of(suggest.planned(scene)) < TINY.iterations
+    assert 0.9 * TINY.iterations < suggest.steps_of(suggest.plan(scene)) < TINY.iterations
 
 
 def still(**changes):
@@ -178,7 +178,7 @@ JUDGED = [
 def test_motion_is_judged_right_on_thin_slow_and_textured_things(changes, said):
     """Silhouettes called rods of one to three pixels moving, and missed a motion of one pixel."""
     scene = still(**changes)
-    gains = [suggest.paired((scene, MOTION, "translation", fold, 600)) for fold in range(2)]
+    gains = [suggest.gains_by_view((scene, MOTION, "translation", fold, 600)) for fold in range(2)]
     found, evidence = suggest.verdict("translation", gains, len(scene.train))
     assert found == said, evidence
 

@@ -18,7 +18,7 @@ from p4dgs_ref.codec.file import encode
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
-from p4dgs_ref.report.evaluate import explicit_bytes, psnr, score, trained_on
+from p4dgs_ref.report.evaluate import explicit_bytes, names_in_training, psnr, score
 from p4dgs_ref.training.fit import CHECKPOINT, fit
 from p4dgs_ref.training.progress import COLUMNS
 from tests.sampling import few
@@ -172,7 +172,7 @@ def test_test_views_that_are_training_views_are_told_of(done, scene, other, monk
 
 def test_a_view_of_another_camera_or_time_is_a_test_view(scene, recwarn):
     for changes in (("image", "camera"), ("image", "time")):
-        assert not trained_on(altered(scene, **dict.fromkeys(changes)))
+        assert not names_in_training(altered(scene, **dict.fromkeys(changes)))
 
 
 @pytest.mark.usefixtures("undrawn")

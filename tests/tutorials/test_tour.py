@@ -22,7 +22,7 @@ def test_text_quotes_the_numbers_of_a_legible_picture(number, title):
     """Where it fails after a change, `python -m tutorials.tools.syllabus tour` draws anew."""
     figure, (heading, image, text) = tour.page(title), SECTIONS[number - 1].split("\n\n", 2)
     assert heading == title.replace("  ", ". ") and f"](tour/{number:02d}.png)" in image
-    with figures.styled(STYLE):  # as they are drawn: numbers of colour bars are made then
+    with figures.figure_style(STYLE):  # as they are drawn: numbers of colour bars are made then
         figure.draw_without_rendering()  # as when a file is written: the layout has to settle
         labels = drawn.texts(figure)
         shown = {numeral for label, _ in labels for numeral in NUMERAL.findall(label)}

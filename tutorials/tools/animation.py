@@ -43,7 +43,7 @@ def truth(description, camera, t, background):
 
 
 # --- frames ---------------------------------------------------------------------------------------
-@figures.styled()
+@figures.figure_style()
 def frame(true, picture, t):
     """One frame [height, width, 3] in 8 bits: three panels with titles, the scale of the error."""
     error = np.abs(picture - true).mean(axis=2)

@@ -14,7 +14,7 @@ from matplotlib.path import Path
 
 from p4dgs_ref import EQUATIONS
 from p4dgs_ref.lessons import TUTORIALS
-from p4dgs_ref.report.figures import styled
+from p4dgs_ref.report.figures import figure_style
 from tutorials.tools import figures
 
 BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK = figures.COLORS
@@ -190,7 +190,7 @@ def show(name, *keys):
     figures.show(draw_method(own or keys), f"{name[:2]}_map")
 
 
-@styled(figures.STYLE)
+@figure_style(figures.STYLE)
 def draw_method(lit=(), dpi=100):
     """Return a figure of the method in which the boxes of the keys `lit` stand out, or all."""
     figure = figures.bare_pyplot().figure(figsize=(INCHES, INCHES * HEIGHT / WIDTH), dpi=dpi)
@@ -198,7 +198,7 @@ def draw_method(lit=(), dpi=100):
     return figure
 
 
-@styled(figures.STYLE)
+@figure_style(figures.STYLE)
 def save(path):
     """Write the drawing as a PNG, without matplotlib's version in it."""
     draw_method(dpi=150).savefig(path, metadata={"Software": None})

@@ -8,7 +8,7 @@ from collections import namedtuple
 
 from matplotlib.patches import Rectangle
 
-from p4dgs_ref.report.figures import new_figure, styled
+from p4dgs_ref.report.figures import figure_style, new_figure
 from tutorials.tools import architecture
 from tutorials.tools.figures import STYLE
 
@@ -168,7 +168,7 @@ LEGEND = (
 UNDATED = dict.fromkeys(("Creator", "Producer", "CreationDate"))  # so that equal pages are equal
 
 
-@styled(STYLE)
+@figure_style(STYLE)
 def draw_page():
     """Return the page as a figure."""
     figure = new_figure(figsize=PAGE, dpi=150)
@@ -202,7 +202,7 @@ def write(figure, x, y, text, size=8.2, **style):
     figure.text(x / PAGE[0], y / PAGE[1], text, size=size, color=architecture.INK, **style)
 
 
-@styled(STYLE)
+@figure_style(STYLE)
 def save(path):
     """Write the page as PDF, without a date and without matplotlib's version."""
     draw_page().savefig(path, metadata={"Title": TITLE, **UNDATED})

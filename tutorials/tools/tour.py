@@ -248,7 +248,7 @@ PICTURES = {  # title: the sentence to take home, and what fills the figure
 }
 
 
-@figures.styled(show.STYLE)
+@figures.figure_style(show.STYLE)
 def page(title):
     """The figure of one picture, 1,280 pixels wide."""
     figure = figures.new_figure(figsize=(12.8, 7.2), layout="constrained")
@@ -259,7 +259,7 @@ def page(title):
     return figure
 
 
-@figures.styled(STYLE)  # of the colour bars' numbers, which the drawing makes
+@figures.figure_style(STYLE)  # of the colour bars' numbers, which the drawing makes
 def draw_pictures():
     """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
     with (

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...arithmetic import arithmetic
-from ..clock import Times, alternate, can_tell, disturbance
-from ..writer import grouped, read_csv, text_table
+from ..clock import Times, alternate, differ, disturbance
+from ..writer import group_rows, read_csv, text_table
 from . import forms, trainings
 
 TURNS = 5  # of every form, at least
@@ -84,14 +84,18 @@ def measure(trained, progress=lambda line: None):
     rows = []
     for name, question in QUESTIONS.items():
         progress(f"accuracy: {name}")
-        found = trainings.points(trained) if question.measure is None else timed(question.measure())
+        found = (
+            trainings.points(trained)
+            if question.measure is None
+            else measure_in_turns(question.measure())
+        )
         what = trained[0]["arithmetic"] if question.measure is None else arithmetic()
         for choice, columns in found.items():
             rows.append({"question": name, "choice": choice, **columns, "arithmetic": what})
     return rows
 
 
-def timed(choices):
+def measure_in_turns(choices):
     """{choice: its loss and Times} of forms {choice: (run, loss)}, which take turns."""
     with np.errstate(all="ignore"):
         times = alternate({choice: run for choice, (run, _) in choices.items()}, TURNS)
@@ -108,10 +112,10 @@ def read(path):
 
 def by_question(rows):
     """The rows of each question, {name: rows}, the reference first."""
-    return {name: group for (name,), group in grouped(rows, "question").items()}
+    return {name: group for (name,), group in group_rows(rows, "question").items()}
 
 
-def compared(row, reference):
+def comparison(row, reference):
     """A row beside its reference: what is lost, and how many times as fast it is, as text."""
     one, other = (Times(r["ms"], r["ms_low"], r["ms_high"], 1) for r in (row, reference))
     factor = one.ms / other.ms
@@ -121,7 +125,7 @@ def compared(row, reference):
         "reference": reference["choice"],
         "time": duration(one.ms),
         "was": duration(other.ms),
-        "faster": faster if can_tell(one, other) else "as fast",
+        "faster": faster if differ(one, other) else "as fast",
         "lost": QUESTIONS[row["question"]].loss.format(**row),
     }
 
@@ -131,7 +135,7 @@ def duration(ms):
     return f"{ms / 1e3:.3g} s" if ms >= 1e3 else f"{ms:.3g} ms"
 
 
-def disturbed(rows):
+def disturbance_note(rows):
     """A sentence where other programs disturbed what was timed, else nothing."""
     return disturbance(max(row.get("stretch", 1) for row in rows))
 
@@ -141,9 +145,11 @@ def to_text(rows):
     columns = {"question": "{question}", "choice": "{choice}", "time": "{time}"}
     columns |= {"instead of": "{reference}", "its time": "{was}", "so it is": "{faster}"}
     columns |= {"what is lost": "{lost}"}
-    cells = [compared(row, group[0]) for group in by_question(rows).values() for row in group[1:]]
+    cells = [comparison(row, group[0]) for group in by_question(rows).values() for row in group[1:]]
     end = (
         "Times are of one processor; those of trainings and their losses are medians and means of "
         "three seeds, ± twice the standard error."
     )
-    return "\n".join([*text_table(columns, cells), "", end, *filter(None, [disturbed(rows)])])
+    return "\n".join(
+        [*text_table(columns, cells), "", end, *filter(None, [disturbance_note(rows)])]
+    )

@@ -61,7 +61,7 @@ def difference(low, high):
     return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
 
 
-def floored(low, high):
+def with_floor(low, high):
     """The printed formula with HAC's floor under p. On the floor the gradient is 0."""
     log_p, *rest = difference(low, high)
     above = log_p >= math.log(HAC_FLOOR)  # False for NaN as well
@@ -87,15 +87,15 @@ def lookup_table(entries):
         rise = values[i + 1] - values[i]
         return values[i] + (place - i) * rise, rise * entries
 
-    def interpolated(low, high):
+    def interpolate(low, high):
         (at_low, phi_low), (at_high, phi_high) = read(-low), read(-high)
         p = np.maximum(at_low - at_high, TABLE_FLOOR)
         return np.log(p), *(slope / p for slope in slopes(phi_low, phi_high))
 
-    return formula_of(interpolated)
+    return formula_of(interpolate)
 
 
-literal, hac = formula_of(difference, folded=False), formula_of(floored, folded=False)
+literal, hac = formula_of(difference, folded=False), formula_of(with_floor, folded=False)
 FORMULAS = {
     "as printed": literal,
     "HAC's floor": hac,

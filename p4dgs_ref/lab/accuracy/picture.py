@@ -2,8 +2,8 @@
 
 from textwrap import fill
 
-from ...report.figures import BLUE, RED, save_figure, styled, subplots
-from . import QUESTIONS, by_question, compared, disturbed, duration
+from ...report.figures import BLUE, RED, figure_style, save_figure, subplots
+from . import QUESTIONS, by_question, comparison, disturbance_note, duration
 
 NOTE = (
     "Down is more accurate, left is faster. A star is what this project uses; a bar goes from "
@@ -40,7 +40,7 @@ def draw_panel(ax, rows, width):
             ha="right" if is_left else "left",
             color=color,
         )
-    words = compared(next(row for row in rows if row["choice"] == question.answer), rows[0])
+    words = comparison(next(row for row in rows if row["choice"] == question.answer), rows[0])
     says = "{question}: {choice} is {faster} as {reference}, {lost}".format(**words)
     ax.set_title(fill(says, width), loc="left")
     ax.xaxis.set_major_formatter(lambda ms, _: duration(ms))
@@ -50,18 +50,18 @@ def draw_panel(ax, rows, width):
     ax.grid(True, color="#dddddd")
 
 
-@styled(STYLE)
+@figure_style(STYLE)
 def draw(path, rows):
     """Draw the rows of a run, or of a record."""
     figure, axes = subplots(3, 2, figsize=(9, 9))
     for ax, group in zip(axes.flat, by_question(rows).values()):
         draw_panel(ax, group, 46)
     axes.flat[-1].set_axis_off()
-    axes.flat[-1].text(0, 1, fill(f"{NOTE} {disturbed(rows)}", 52), va="top")
+    axes.flat[-1].text(0, 1, fill(f"{NOTE} {disturbance_note(rows)}", 52), va="top")
     save_figure(figure, path)
 
 
-@styled({**STYLE, "font.size": 10.5, "figure.dpi": 200})
+@figure_style({**STYLE, "font.size": 10.5, "figure.dpi": 200})
 def draw_front(path, rows):
     """Draw four panels below each other, for a picture that is shown small."""
     figure, axes = subplots(4, figsize=(4.2, 6.6))

@@ -15,9 +15,9 @@ from ...report.evaluate import evaluate
 from ...scenes import load_scene
 from ...training.presets import TINY, choose
 from ...training.trainer import Trainer
-from ..clock import alternate, clocked, step_at
+from ..clock import alternate, call_with_clocks, step_at
 from ..processes import in_processes
-from ..writer import grouped, read_csv, twice_standard_error
+from ..writer import group_rows, read_csv, twice_standard_error
 
 RECORD = Path(__file__).with_name("training.csv")
 SCENE, SEEDS = "bouncing", 3
@@ -38,7 +38,7 @@ def reduced(iterations, preset=TINY, **changes):
 def train(task):
     """The row of one training, of a task (label, scene, preset, seed)."""
     label, scene, preset, seed = task
-    model, (seconds, _) = clocked(Trainer(scene, preset, seed).run)
+    model, (seconds, _) = call_with_clocks(Trainer(scene, preset, seed).run)
     data = encode(model)
     return {
         "label": label,
@@ -82,7 +82,7 @@ def read():
 
 def points(rows):
     """What a panel shows of some rows: {length: the seconds, and the dB lost to the longest}."""
-    of, found = grouped(rows, "iterations"), {}
+    of, found = group_rows(rows, "iterations"), {}
     for (n,), group in of.items():
         best = of[max(of)]
         lost = [longest["psnr_db"] - row["psnr_db"] for longest, row in zip(best, group)]

@@ -28,7 +28,7 @@ import numpy as np
 
 from ...oracle import published
 from ...oracle.compare import cast
-from ...report.figures import save_figure, styled, subplots
+from ...report.figures import figure_style, save_figure, subplots
 from ...splatting.table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
@@ -224,7 +224,7 @@ def draw_maps(figure, axes, errors, location="right", **text):
     figure.colorbar(mesh, ax=axes, location=location, shrink=0.8, extend="both", label=label)
 
 
-@styled({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
+@figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_front(path):
     """Draw the maps of the printed formula and of ours, for a picture that is shown small."""
     errors = {key: log for key, log in maps().items() if key[0] in ("as printed", "ours")}
@@ -234,7 +234,7 @@ def draw_front(path):
     save_figure(figure, path)
 
 
-@styled()
+@figure_style()
 def draw_map(path):
     """Draw the map to a PNG."""
     figure, axes = subplots(2, len(FORMULAS), figsize=(10, 8), sharex=True, sharey=True)

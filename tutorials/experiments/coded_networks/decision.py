@@ -14,8 +14,8 @@ p4dgs_ref.prepare()  # before NumPy
 
 import numpy as np  # noqa: E402
 
-from p4dgs_ref.lab.writer import aligned, grouped  # noqa: E402
-from p4dgs_ref.report.figures import COLORS, save_figure, styled, subplots  # noqa: E402
+from p4dgs_ref.lab.writer import align, group_rows  # noqa: E402
+from p4dgs_ref.report.figures import COLORS, figure_style, save_figure, subplots  # noqa: E402
 from p4dgs_ref.scenes import load_scene  # noqa: E402
 from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
@@ -53,17 +53,17 @@ def table(found):
     forms = {"bytes": ",.0f", "times": ".3f", "gain": "+.2f", "deformation_bytes": ",.0f"}
     lines = [("price of a bit", "scene", "bytes", "of the paper's", "dB", "psi_d, bytes")]
     compared = [*comparisons(found)]
-    groups = grouped(compared, "lambda_rate", "scene") | grouped(compared, "lambda_rate")
+    groups = group_rows(compared, "lambda_rate", "scene") | group_rows(compared, "lambda_rate")
     for (price, *scene), own in groups.items():
         lines.append([f"{price:g}", *(scene or ["all"])])
         for name, form in forms.items():
             each = [row[name] for row in own]
             values = (f"{value:{form}}" for value in (np.mean(each), min(each), max(each)))
             lines[-1].append("{} ({} to {})".format(*values))
-    return aligned(lines)
+    return align(lines)
 
 
-@styled()
+@figure_style()
 def draw(found, path):
     """PSNR over the bytes of the file on every scene; a line joins the files of a seed."""
     figure, axes = subplots(1, len(SCENES), figsize=(11, 3.8), sharey=True)

@@ -10,7 +10,7 @@ import p4dgs_ref
 
 p4dgs_ref.prepare()  # before NumPy
 
-from p4dgs_ref.lab.writer import grouped  # noqa: E402
+from p4dgs_ref.lab.writer import group_rows  # noqa: E402
 from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
 from .. import PICTURES  # noqa: E402
@@ -24,7 +24,7 @@ def estimate(tasks, name):
     missing = {task.training: task for task in tasks if task.key not in known}
     seconds = {
         method: max(row["train_seconds"] for row in group)
-        for (method,), group in grouped(known.values(), "method").items()
+        for (method,), group in group_rows(known.values(), "method").items()
     }
     longest = sum(seconds.get(task.method, 300) for task in missing.values())
     print(f"{len(missing)} trainings are missing, at most {longest / 3600:.1f} hours of one core")

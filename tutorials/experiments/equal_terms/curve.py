@@ -16,7 +16,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import filled, grouped, read_csv
+from p4dgs_ref.lab.writer import fill_form, group_rows, read_csv
 from p4dgs_ref.scenes import load_scene
 
 from .. import RECORDS, baselines
@@ -179,8 +179,8 @@ def of_common_seeds(rows):
     Beside means over seeds, the best of several single seeds would win by luck.
     """
     kept = []
-    for curve in grouped(rows, "method", "storage", "scene").values():
-        seeds = [{row["seed"] for row in point} for point in grouped(curve, "label").values()]
+    for curve in group_rows(rows, "method", "storage", "scene").values():
+        seeds = [{row["seed"] for row in point} for point in group_rows(curve, "label").values()]
         kept += [row for row in curve if row["seed"] in set.intersection(*seeds)]
     return kept
 
@@ -234,5 +234,5 @@ def tell(rows):
 def markdown(columns, rows):
     """A table as the page has it: `columns` are {heading: form}."""
     lines = [columns, ["---"] * len(columns)]
-    lines += [[filled(form, row) for form in columns.values()] for row in rows]
+    lines += [[fill_form(form, row) for form in columns.values()] for row in rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

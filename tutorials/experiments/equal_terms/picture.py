@@ -6,8 +6,8 @@ from p4dgs_ref.report.figures import (
     ORANGE,
     PINK,
     RED,
+    figure_style,
     save_figure,
-    styled,
     subplots,
 )
 
@@ -34,7 +34,7 @@ TABLE_3 = {  # MB of the paper's T-Rex
 }
 
 
-@styled()
+@figure_style()
 def draw(rows, path):
     """Draw the curves above, the steps and the table below."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.writer import grouped, text_table, twice_standard_error
+from p4dgs_ref.lab.writer import group_rows, text_table, twice_standard_error
 from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import TINY
@@ -114,7 +114,7 @@ def show(scene, tasks, found, folder):
 
 def summaries(found):
     """Means over seeds, with what a step changes in percent of the bytes and in dB."""
-    of_steps = {label: rows for (label,), rows in grouped(found, "label").items()}
+    of_steps = {label: rows for (label,), rows in group_rows(found, "label").items()}
     names = [*PAPER]
     before = dict(zip(names[1:], names))
     for row in means(found, "label"):

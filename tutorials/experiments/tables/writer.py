@@ -7,7 +7,7 @@ over PSNR, which is that of test views: a front is chosen on them.
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import grouped
+from p4dgs_ref.lab.writer import group_rows
 
 
 def means(rows, *keys):
@@ -17,7 +17,7 @@ def means(rows, *keys):
     some row lacks, are left out.
     """
     result = []
-    for values, group in grouped(rows, *keys).items():
+    for values, group in group_rows(rows, *keys).items():
         seeds = sorted({row["seed"] for row in group})
         result.append({**dict(zip(keys, values)), "seeds": len(seeds)})
         for name in group[0]:
