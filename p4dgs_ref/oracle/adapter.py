@@ -24,15 +24,15 @@ asked for these alone, and no other subject is required of it. The report says b
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed with all processes that it started.
-The process groups are those of POSIX, so this does not run on Windows.
+is closed, and a port that still runs a second later is killed, with all processes that it started
+where the system has process groups (Windows has none).
 """
 
 import base64
 import contextlib
+import io
 import json
 import os
-import select
 import shlex
 import shutil
 import signal
@@ -64,11 +64,11 @@ class Adapter(contextlib.AbstractContextManager):
     """A port that a command starts. Used as a context manager, it ends the process on exit."""
 
     def __init__(self, command, timeout=10.0, dtype="float64"):
-        """`timeout` is for each case and for the start, in seconds. Raises AdapterError."""
-        try:
-            self.command = shlex.split(command)
-        except ValueError:
-            self.command = []
+        """Take the command of a port: one text, as for a shell, or a list of words.
+
+        `timeout` is for each case and for the start, in seconds. Raises AdapterError.
+        """
+        self.command = words_of(command) if isinstance(command, str) else command
         if not self.command or shutil.which(self.command[0]) is None:
             raise AdapterError(f"adapter {command!r}: expected a command that can be run")
         self.timeout, self.dtype = timeout, np.dtype(dtype)
@@ -191,7 +191,7 @@ class Adapter(contextlib.AbstractContextManager):
 
 
 class Child:
-    """A process, its pipes, and a thread that keeps the end of its stderr."""
+    """A process and its pipes. Threads wait for the pipes, because Windows has no other way."""
 
     def __init__(self, command):
         try:
@@ -205,17 +205,22 @@ class Child:
             )
         except OSError as error:
             raise PortError("died", f"cannot be started ({error.strerror})") from None
-        self.stdin, self.stdout, stderr = filter(
+        self.stdin, stdout, self.stderr = filter(
             None, (self.process.stdin, self.process.stdout, self.process.stderr)
         )
+        self.stdout = io.BufferedReader(stdout)
         self.words = b""  # the end of stderr
-        self.unread = bytearray()  # what has come from stdout after the last answer
-        self.listener = threading.Thread(target=self._listen, args=[stderr], daemon=True)
-        self.listener.start()
+        self.threads = {self.stderr: started(self._listen)}  # the latest one at work on each pipe
 
-    def _listen(self, stderr):
-        while part := stderr.read(2**16):
+    def _listen(self):
+        while part := self.stderr.read(2**16):
             self.words = (self.words + part)[-4 * QUOTE_LENGTH :]
+
+    def _send(self, request):
+        unsent = memoryview(request)
+        with contextlib.suppress(OSError):  # nobody reads: stdout ends too, or time is up
+            while unsent:
+                unsent = unsent[self.stdin.write(unsent) :]
 
     def exchange(self, request, seconds):
         """Send a line and return the next line that the process writes.
@@ -223,31 +228,24 @@ class Child:
         If the process wrote extra lines earlier, that is the oldest one which was not read.
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
-        deadline, unsent = time.monotonic() + seconds, memoryview(request)
-        has_line = b"\n" in self.unread
-        while unsent or not has_line:
-            left = max(deadline - time.monotonic(), 0)
-            asked = [self.stdin] if unsent else []
-            readable, writable, _ = select.select([self.stdout], asked, [], left)
-            if not left or not (readable or writable):
-                late = f"no answer within {seconds:g} s, compilation included"
-                raise self._failure(PortError("hung", late))
-            if writable:
-                with contextlib.suppress(BrokenPipeError):  # then stdout ends too, or time is up
-                    unsent = unsent[self.stdin.write(unsent[: select.PIPE_BUF]) :]
-            if readable:
-                part = self.stdout.read(2**16)
-                if not part:
-                    raise self._failure(PortError("died", "the process closed its pipes"))
-                self.unread += part
-                has_line = has_line or b"\n" in part
-                require(
-                    len(self.unread) <= MAX_LINE_BYTES,
-                    "answer",
-                    f"expected a line of at most {MAX_LINE_BYTES:,} bytes, got more",
-                )
-        line, _, self.unread = self.unread.partition(b"\n")
-        return bytes(line)
+        deadline, lines = time.monotonic() + seconds, []
+        sender = started(self._send, request)
+        receiver = started(lambda: lines.append(self.stdout.readline(MAX_LINE_BYTES + 1)))
+        self.threads.update({self.stdin: sender, self.stdout: receiver})
+        receiver.join(seconds)
+        if lines:
+            require(
+                len(lines[0]) <= MAX_LINE_BYTES,
+                "answer",
+                f"expected a line of at most {MAX_LINE_BYTES:,} bytes, got more",
+            )
+            if not lines[0].endswith(b"\n"):
+                raise self._failure(PortError("died", "the process closed its pipes"))
+            sender.join(max(deadline - time.monotonic(), 0))
+        if not lines or sender.is_alive():
+            late = f"no answer within {seconds:g} s, compilation included"
+            raise self._failure(PortError("hung", late))
+        return lines[0][:-1]
 
     def _failure(self, running):
         """Return the PortError of a process that has ended, or `running` where it still runs."""
@@ -260,17 +258,45 @@ class Child:
 
     def end(self, grace):
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
-        with self.process:  # closes the pipes
-            try:
-                self.stdin.close()
+        try:
+            if grace:
+                started(self._close, self.stdin)
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self.process.wait(grace)
-            finally:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.killpg(self.process.pid, signal.SIGKILL)
-            self.listener.join(1)  # another process may hold stderr
+        finally:
+            self.process.kill()
+            with contextlib.suppress(AttributeError, ProcessLookupError, PermissionError):
+                os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            for closing in [started(self._close, pipe) for pipe in (*self.threads, self.stdin)]:
+                closing.join(1)  # another process may hold the pipe
         lines = map(str.strip, self.words.decode(errors="replace").splitlines())
         return " / ".join(filter(None, lines))[-QUOTE_LENGTH:]
+
+    def _close(self, pipe):
+        """Close a pipe when no thread is at work on it; Windows would wait for that thread."""
+        if pipe in self.threads:
+            self.threads[pipe].join()
+        pipe.close()
+
+
+def words_of(command):
+    """Return the words of a command, as a shell would find them; none if a quote has no end."""
+    words = shlex.shlex(command, posix=True, punctuation_chars="")
+    words.whitespace_split, words.commenters = True, ""
+    if os.sep in words.escape:  # Windows: a backslash belongs to a path
+        words.escape = ""
+    try:
+        return [*words]
+    except ValueError:
+        return []
+
+
+def started(function, *arguments):
+    """Return a started thread, which does not keep this process alive."""
+    thread = threading.Thread(target=function, args=arguments, daemon=True)
+    thread.start()
+    return thread
 
 
 def packed(array):

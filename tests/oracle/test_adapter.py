@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import shlex
 import signal
 import subprocess
@@ -374,6 +375,30 @@ def test_a_subject_that_always_kills_costs_three_starts(port):
 def test_a_command_that_is_none(command):
     with pytest.raises(AdapterError, match="expected a command"):
         Adapter(command)
+
+
+@pytest.mark.parametrize(
+    "sep, text, words",
+    [
+        ("/", r"my\ port 'a b'", ["my port", "a b"]),
+        ("\\", r"C:\env\python.exe 'a b\c'", [r"C:\env\python.exe", r"a b\c"]),
+    ],
+)
+def test_backslashes_of_a_command(monkeypatch, sep, text, words):
+    monkeypatch.setattr(adapter_module.os, "sep", sep)
+    assert adapter_module.words_of(text) == words
+
+
+def test_a_process_that_leaves_the_group_and_holds_the_pipes_costs_little(port, tmp_path, capfd):
+    twist = (
+        "if n: child = subprocess.Popen(['sleep', '60'], start_new_session=True); "
+        f"open({str(tmp_path / 'left')!r}, 'w').write(str(child.pid)); time.sleep(60)"
+    )
+    ask, start = port(twist, timeout=0.5), time.monotonic()
+    assert verdicts(ask, 1) == ["hung"] and time.monotonic() - start < 5
+    os.kill(int((tmp_path / "left").read_text(encoding="utf-8")), signal.SIGKILL)
+    time.sleep(0.1)  # now threads read the end of the pipes
+    assert capfd.readouterr().err == ""
 
 
 def test_nothing_that_a_port_started_outlives_it(port, tmp_path):

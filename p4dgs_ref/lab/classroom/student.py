@@ -7,7 +7,6 @@ the equation that the file should compute. The field `subject` of a request says
 
 import json
 import os
-import shlex
 import sys
 import threading
 import time
@@ -36,7 +35,7 @@ class Student(Adapter):
 
     def __init__(self, path):
         command = [sys.executable, "-c", START, str(Path(__file__).parents[3]), str(path)]
-        super().__init__(shlex.join(command))
+        super().__init__(command)
 
     def part(self, name):
         """Return the port that answers with one part: forward or backward."""
