@@ -5,19 +5,6 @@ import pytest
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.streams import export
 from tests.oracle.answers import right, write
-from tests.workshop import kill_matrix
-from tests.workshop.kill_matrix import Judge
-
-
-@pytest.fixture(scope="session")
-def judge():
-    return Judge()
-
-
-@pytest.fixture
-def hasty(monkeypatch):
-    """A sampled mutation that never ends must not hold up the short lane."""
-    monkeypatch.setattr(kill_matrix, "PATIENCE", 8)
 
 
 @pytest.fixture(scope="session")

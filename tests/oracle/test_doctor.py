@@ -1,10 +1,4 @@
-"""The doctor: what it says of mistakes in one direction, in some cases, and of unknown ones.
-
-What it says of wrong formulas that it does not know is contradicted by no answer.
-"""
-
-import random
-from collections import Counter
+"""The doctor: what it says of mistakes in one direction, in some cases, and of unknown ones."""
 
 import numpy as np
 import pytest
@@ -14,10 +8,8 @@ from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.oracle import checker, doctor, published, tolerance
 from p4dgs_ref.oracle.compare import compare, expected
 from tests.oracle.answers import Port, in_precision
-from tests.sampling import SEED, WHOLE, few
-from tests.workshop import checks
-from tests.workshop.kill_matrix import laboratory
-from tests.workshop.mutate import applied, mutations
+from tests.sampling import few
+from tests.workshop.rewriting import edited
 
 MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
 BOTH = ("out.", "in_bar.")
@@ -90,7 +82,7 @@ def test_a_mistake_that_contradicts_most_cases_is_not_named():
 )
 def test_a_mistake_is_not_offered_where_its_outputs_are_not_the_ports(key, changes, ids):
     """Of ports that are the equation's own file with some of its text replaced."""
-    wrong = checks.edited(key, changes)
+    wrong = edited(key, changes)
     rows = told(key, lambda case: tolerance.answer_of(wrong)(case.inputs(), case.cotangents()))
     assert [row.mistake.id for row in rows] == ids
 
@@ -286,69 +278,3 @@ def test_the_report_says_what_factor_which_gradient_has():
 
 def test_another_factor_is_not_explained():
     assert told("offsets", times("in_bar.x_a", 1.7)) == []
-
-
-# --- formulas that are wrong otherwise -----------------------------------------------------------
-CLOSE = 1e-6  # of the largest number in an array
-
-
-def close(a, b):
-    """Whether two arrays are the same numbers. A NaN equals a NaN."""
-    size = float(np.abs(b[np.isfinite(b)]).max(initial=0))
-    return a.shape == b.shape and np.allclose(a, b, rtol=0, atol=CLOSE * size, equal_nan=True)
-
-
-def contradictions(diagnoses, answers):
-    """The (mistake, case, tensor) in which a port differs from a mistake that is named.
-
-    Where the port is wrong, the mistake must be wrong and equal to it; where the port is right, the
-    mistake must be right. A hint is held to this in the cases that it names.
-    """
-    contradicted = []
-    for row in diagnoses:
-        role = doctor.ROLES.get(row.part, "")
-        for case, got, wrong in answers:
-            if case.name not in row.mistake.noisy and (row.certain or case.id in row.cases):
-                would = expected(case.tensors) | row.mistake.answers.get(case.name, {})
-                shown = wrong_names(case, {name: would[name] for name in got})
-                for name in (n for n in got if n.startswith(role)):
-                    agrees = (name in shown) == (name in wrong)
-                    if not agrees or name in wrong and not close(got[name], would[name]):
-                        contradicted.append((row.mistake.id, case.id, name))
-    return contradicted
-
-
-def verdict(diagnoses):
-    """`explained`, `hint` or `silent`."""
-    if not diagnoses:
-        return "silent"
-    return "explained" if diagnoses[0].certain else "hint"
-
-
-def survey(judge, sample):
-    """Count the verdicts on mutated programs. None may contain a contradiction."""
-    counts = Counter()
-    for mutation in sample:
-        try:
-            with laboratory(), applied(mutation):
-                answers = judge.answers(mutation.equation)
-        except Exception:  # the changed file cannot be loaded, or never ends
-            continue
-        if any(wrong for *_, wrong in answers):
-            diagnoses = doctor.diagnose(mutation.equation, answers)
-            assert contradictions(diagnoses, answers) == [], mutation.id
-            counts[verdict(diagnoses)] += 1
-    return counts
-
-
-def of_one_equation():
-    """Mutations of files that serve one equation; of these the short lane surveys a sample."""
-    return random.Random(12).sample([m for m in mutations() if m.equation], 200)
-
-
-@pytest.mark.usefixtures("right_reference")
-@pytest.mark.parametrize("count", [8, pytest.param(200 if WHOLE else 80, marks=pytest.mark.slow)])
-def test_mutations_of_our_code(judge, hasty, count):
-    counts = survey(judge, random.Random(SEED).sample(of_one_equation(), count))
-    # Six of the 200 are known mistakes.
-    assert counts["silent"] > counts["explained"] >= (count == 200), counts

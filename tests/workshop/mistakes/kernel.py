@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.workshop.kernel import MASK, TILE
 from tests.workshop.mistakes.kit import known, surgery
-from tests.workshop.mutate import rewritten
+from tests.workshop.rewriting import rewritten
 
 # id: what the port does, and the text of `tests.workshop.kernel` that it has otherwise
 RULES = {

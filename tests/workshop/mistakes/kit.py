@@ -13,8 +13,8 @@ import numpy as np
 
 from p4dgs_ref import EQUATIONS
 from tests.equations.rules import altered
-from tests.workshop import checks
-from tests.workshop.mutate import rewritten
+from tests.workshop import rewriting
+from tests.workshop.rewriting import rewritten
 from tests.workshop.subjects import subjects
 
 
@@ -95,7 +95,7 @@ def surgery(subject, id, description, run, room=""):
 def edited(subject, id, description, changes, helper=None):
     """Return a mistake that is the equation's own file with some of its text replaced."""
 
-    wrong = cache(lambda: checks.edited(subject, changes, helper))
+    wrong = cache(lambda: rewriting.edited(subject, changes, helper))
 
     def run(given, cotangents):
         outputs, pullback = wrong().vjp(**given)

@@ -7,7 +7,6 @@ import numpy as np
 
 from p4dgs_ref.equations import mlp, positional_encoding
 from p4dgs_ref.equations.numerics import normalise, normalise_backward
-from tests.workshop.checks import edited as edited_equation
 from tests.workshop.mistakes.kit import (
     edited,
     given_as,
@@ -21,6 +20,7 @@ from tests.workshop.mistakes.kit import (
     surgery,
     with_module,
 )
+from tests.workshop.rewriting import edited as edited_equation
 
 # --- positional encoding ------------------------------------------------------------------------
 
