@@ -88,7 +88,7 @@ def check_port(port, levels=(), only=(), progress=lambda text: None, strict=Fals
                 results += check_subject(cases, port, strict)
     dtype = getattr(port, "dtype", None)
     says = getattr(port, "says", {})
-    return Report(_shared(results), says, dtype and np.dtype(dtype).name, strict)
+    return Report(results, says, dtype and np.dtype(dtype).name, strict)
 
 
 def _chosen(rows, names, only):
@@ -214,18 +214,3 @@ def explained(result, diagnoses):
     blamed = rows[0].mistake.equation if is_certain and rows[0].mistake.id else result.equation
     field = "explanation" if is_certain else "hint"
     return result._replace(**{field: " or ".join(map(str, rows)), "equation": blamed})
-
-
-def _shared(results):
-    """Give failures without a diagnosis the explanation of another subject of the same equation.
-
-    A case of the explained subject itself gets none: without a diagnosis it contradicts this one.
-    """
-    known = {r.equation: r for r in reversed(results) if r.findings and r.explanation}
-    shared = []
-    for r in results:
-        source = known.get(r.equation, r)
-        if r.findings and not (r.explanation or r.hint or r.recipe) and r.subject != source.subject:
-            r = r._replace(explanation=f"{source.explanation} (seen in {source.id})")
-        shared.append(r)
-    return shared

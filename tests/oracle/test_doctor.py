@@ -219,16 +219,17 @@ def test_a_mistake_that_would_show_in_a_right_case_is_not_mentioned():
     assert told("likelihood", answer) == []
 
 
-def test_what_the_equation_explains_is_offered_to_its_scalars_and_says_from_where():
-    def change(case, got):
-        return got if case.level == "L1" else {"out.bits": np.float64(1.0)}
+def test_an_explanation_is_lent_to_no_other_subject():
+    """Primes exchanged, and 0 read as -1: a case that hashes nothing is not explained by primes."""
+    primes = patient(by_id("hash-index-prime-order")).compute
 
-    port = Port(patient(by_id("likelihood-nats")).compute, change=change)
-    report = checker.check_port(port, ["L0", "L1"], "likelihood")
-    explanations = {r.id.split("/")[0]: r.explanation for r in report.results if r.findings}
-    assert explanations.pop("likelihood").endswith("[likelihood-nats]")
-    (of_scalars,) = set(explanations.values())
-    assert of_scalars.endswith("[likelihood-nats] (seen in likelihood/ordinary)")
+    def change(case, got):
+        wrong = case.subject == "hash_grid"
+        return {n: a + 1.0 for n, a in got.items() if a.dtype.kind == "f"} if wrong else got
+
+    report = checker.check_port(Port(primes, change=change), only="hash_grid")
+    explained = {r.subject for r in report.results if r.findings and r.explanation}
+    assert explained == {"hash_index"}
 
 
 # --- factors, which need no stored answers ------------------------------------------------------
