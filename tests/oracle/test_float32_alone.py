@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import published
-from p4dgs_ref.oracle.checker import Report, check_subject
-from p4dgs_ref.oracle.compare import change_floats
+from p4dgs_ref.oracle.checker import Report, check_subject, judge_answer
+from p4dgs_ref.oracle.compare import cast, change_floats, expected
 from p4dgs_ref.oracle.report import as_json
 from tests.oracle.answers import Port
 from tests.sampling import few
@@ -30,13 +30,11 @@ SOME = "projection", "likelihood"
 def alone(answer):
     """The port whose answers are those of `answer(case)` in float32 alone.
 
-    What is not asked in float32 is nonsense.
+    `Port` answers nothing where a case is not asked in float32.
     """
 
     def compute(case, _):
-        got = answer(case._replace(tensors=change_floats(case.tensors, single)))
-        not_judged = case.not_judged("float32")
-        return {n: np.full_like(a, np.nan) if n in not_judged else a for n, a in got.items()}
+        return answer(case._replace(tensors=change_floats(case.tensors, single)))
 
     return Port(compute, np.float32)
 
@@ -56,6 +54,20 @@ def test_a_right_port_fails_nothing(key):
 def test_a_wrong_port_is_found(mistake):
     port = alone(lambda case: answers(mistake, case))
     assert any(r.wrong for r in check_subject(published.cases(mistake.subject), port))
+
+
+@pytest.mark.parametrize("key", ["kernel_many", "likelihood"])
+def test_a_tensor_that_is_not_judged_is_asked_for_all_the_same(key):
+    """Its name, its shape, finite numbers, and a coarse bound."""
+    for case in published.cases(key):
+        right = cast(expected(case.tensors), np.float32)
+        wide = case.not_judged("float32") if case.tolerance("float32") else ()
+        for name in wide:
+            a = right[name]
+            for wrong in a * np.float32(np.nan), a[None], a * np.float32(1e3), None:
+                got = {n: b for n, b in {**right, name: wrong}.items() if b is not None}
+                result = judge_answer(case, got)
+                assert result.wrong and [f.tensor for f in result.findings] == [name], case.id
 
 
 def test_what_is_not_judged_is_named():
