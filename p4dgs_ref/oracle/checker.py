@@ -8,7 +8,7 @@ import numpy as np
 from . import doctor, published
 from .compare import RECIPES, Result, as_printed, compare, expected, precision
 from .ports import ROLES, FunctionPort, PortError
-from .published import GROUPS, LEVELS
+from .published import GROUPS, INVALID, LEVELS
 from .report import text
 
 
@@ -32,8 +32,11 @@ class Report(NamedTuple):
         return next((r for r in wrong if r.findings), next(iter(wrong), None))
 
     def levels(self):
-        """Return {level or group: {passed, acceptable, of, says}} of the required cases."""
-        says = {**LEVELS, **GROUPS}
+        """Return {level or group: {passed, acceptable, of, says}} of the required cases.
+
+        Streams that a decoder has to refuse are a row of their own: refusing all of them is easy.
+        """
+        says = {**LEVELS, **INVALID, **GROUPS}
         required = [(r.group or r.level, r.verdict) for r in self.results if r.required]
         counts = {level: Counter(v for of, v in required if of == level) for level in says}
         return {

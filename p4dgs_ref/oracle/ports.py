@@ -85,7 +85,7 @@ class FolderPort:
             raise PortError("damaged", f"{file}: {error}") from None
 
     def decode(self, name, _):
-        """Return the arrays that the port found in a stream and None, or None and its refusal.
+        """Return the arrays that the port found in a stream, and why it refused it, or None.
 
         Raises PortError.
         """
@@ -102,8 +102,8 @@ class FolderPort:
         try:
             return self.load(f"codec/{name}")[0], None
         except PortError as error:
-            if error.kind == "missing" and name in reasons:  # null: not refused, no arrays given
-                return {}, None
+            if error.kind == "missing" and name in reasons:
+                return {}, reasons[name]
             raise PortError(error.kind, f"{error}, or why it is refused in {file}") from None
 
 

@@ -24,6 +24,7 @@ LEVELS = {
     "L3": "the codec",
     "L4": "the pipeline",
 }
+INVALID = {"invalid": "streams of L3"}  # the group of those that a decoder has to refuse
 # Groups of subjects that a port may leave out, with their level.
 GROUPS = {
     "inside": "levels L2, L4",

@@ -112,7 +112,8 @@ def _reason(result):
         return "hint", result.hint
     if result.recipe:
         return RECIPE_HEAD, result.recipe
-    return "explained by" if result.findings else "because", result.explanation
+    is_diagnosis = result.findings and result.subject != "codec"
+    return "explained by" if is_diagnosis else "because", result.explanation
 
 
 def _others(results, known):

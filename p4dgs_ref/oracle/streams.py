@@ -3,8 +3,9 @@
 A port decodes `streams/<name>.p4dgs` and gives every array of the good streams, bit for bit, and a
 reason for each stream that it refuses. In files, these are `codec/<name>.safetensors` (or .npz)
 with the arrays by their names, and `codec/refusals.json` with {name: reason}; the reason is null
-for a stream that was not refused. Integers may have any integer type, and masks and signs may be
-BOOL; q, x_a and attributes are F64, and the numbers of the networks F32.
+for a stream that was not refused. A decoder that fails may give the arrays that it has so far.
+Integers may have any integer type, and masks and signs may be BOOL; q, x_a and attributes are F64,
+and the numbers of the networks F32.
 
 The README of the vectors describes the arrays and the kinds of errors. `export` copies streams and
 vectors into a folder, for ports that read files.
@@ -18,7 +19,7 @@ import numpy as np
 from ..output import OutputError, staged_folder
 from .compare import Result, differences
 from .ports import PortError
-from .published import FOLDER, STREAMS, read_rows, stream_rows, subjects
+from .published import FOLDER, INVALID, STREAMS, read_rows, stream_rows, subjects
 
 TYPES = {"u8": "u1", "u16": "<u2", "i32": "<i4", "i64": "<i8", "f32": "<f4", "f64": "<f8"}
 # The arrays in the order in which a decoder finds them, each with the equation (or the codec) to
@@ -54,28 +55,28 @@ def check(port, names=None):
 
 def judge(row, good, decode):
     """Return the Result of one stream."""
-    id, findings, explanation = f"codec/{row['name']}", [], ""
+    findings, explanation = [], ""
+    result = Result(f"codec/{row['name']}", "codec", "L3", "pass", True)
+    result = result if good else result._replace(group=next(iter(INVALID)))
     try:
         arrays, refused = decode(row["name"], (STREAMS / row["file"]).read_bytes())
     except PortError as error:
-        return Result(id, "codec", "L3", error.kind, error.kind != "absent", explanation=str(error))
-    if good and refused is None:
+        required = error.kind != "absent"
+        return result._replace(verdict=error.kind, required=required, explanation=str(error))
+    if good and refused is not None:
+        explanation = f"refused a valid stream: {refused}"
+    elif not good and refused is None:
+        explanation = f"accepted a stream that must be refused: {row['says']}"
+    if good and (arrays or refused is None):
         entries = {entry["name"]: entry for entry in row["arrays"]}
         want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
-        findings = differences(want, arrays)
-    elif good:
-        explanation = f"refused a valid stream: {refused}"
-    elif refused is None:
-        explanation = f"accepted a stream that must be refused: {row['says']}"
+        # A decoder that stops half-way lacks arrays; those that it has say where it goes wrong.
+        findings = sorted(differences(want, arrays), key=lambda f: f.kind == "missing")
+    if not findings and not explanation:
+        return result
     blamed = BLAMED.get(findings[0].tensor, "codec") if findings else "codec"
-    return Result(
-        id,
-        blamed,
-        "L3",
-        verdict="fail" if findings or explanation else "pass",
-        required=True,
-        findings=tuple(findings),
-        explanation=explanation,
+    return result._replace(
+        equation=blamed, verdict="fail", findings=tuple(findings), explanation=explanation
     )
 
 

@@ -130,6 +130,27 @@ def test_a_misspelt_case_or_subject_is_refused(tmp_path):
             FolderPort(folder)
 
 
+def test_two_files_of_a_subject_are_refused_in_a_line(tmp_path):
+    write(tmp_path, offsets=right("offsets"))
+    np.savez(tmp_path / "offsets.npz", **right("offsets"))
+    with pytest.raises(safetensors.TensorError, match="offsets.npz: expected one file, not also"):
+        FolderPort(tmp_path)
+
+
+def test_a_selection_that_chooses_nothing_is_refused_in_a_line(tmp_path):
+    for choice, says in (
+        (dict(only="ofsets"), "only ofsets: did you mean 'offsets'"),
+        (dict(levels=["L9"]), "levels L9: expected one of L0, "),
+        (dict(levels="L0", only=["offsets"]), "levels L0, only offsets: no such case"),
+    ):
+        with pytest.raises(published.SelectionError, match=says):
+            oracle.check_port(FolderPort(tmp_path), **choice)
+    with pytest.raises(TypeError, match="forward: expected a function, got NoneType"):
+        oracle.check(None, "offsets")
+    with pytest.raises(KeyError, match="None: expected one of"):
+        oracle.check(x_of, None)
+
+
 def test_nothing_checked_is_not_success():
     assert not checker.Report([]).ok and "no required case" in str(checker.Report([]))
 

@@ -168,9 +168,9 @@ def test_findings_stand_in_the_order_of_the_data(folder):
     result = check(folder, "full")["full"]
     assert [(f.tensor, f.kind) for f in result.findings] == [
         ("context_mlps", "value"),
-        ("q", "missing"),
         ("attributes", "value"),
         ("extra", "extra"),
+        ("q", "missing"),
     ]
     assert result.equation == "codec"
     change(folder, "full", context_mlps=of["context_mlps"], q=-of["q"], extra=None)
@@ -230,8 +230,40 @@ class Decoder:
 
 @pytest.mark.parametrize("option, failing", [("", []), ("--lenient", BAD), ("--strict", GOOD)])
 def test_who_accepts_or_refuses_all_fails(option, failing):
-    results = streams.check(Decoder(option))
-    assert [r.id[6:] for r in results if r.verdict == "fail"] == failing
+    """Valid and invalid streams are counted apart."""
+    report = checker.check_port(Decoder(option), only="codec")
+    assert [r.id[6:] for r in report.results if r.verdict == "fail"] == failing
+    levels = report.levels().items()
+    of = {row: f"{count['passed']} of {count['of']}" for row, count in levels}
+    right = {"L3": GOOD, "invalid": BAD}
+    assert of == {
+        row: f"{0 if names == failing else len(names)} of {len(names)}"
+        for row, names in right.items()
+    }
+
+
+def test_a_decoder_that_fails_shows_what_it_has_so_far(folder):
+    """The first array that differs comes before those that are missing, and the refusal is said."""
+    has = read(folder, "full")
+    missing = dict.fromkeys([name for name in has if name not in ("masks", "h")])
+    change(folder, "full", **missing, h=has["h"] + 1)
+    path = folder / "codec" / "refusals.json"
+    reasons = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**reasons, "full": "features: final state"}), encoding="utf-8")
+    result = check(folder, "full")["full"]
+    assert result.findings[0][:2] == ("h", "value") and result.equation == "hash_grid"
+    assert {f.kind for f in result.findings[1:]} == {"missing"}
+    lines = str(checker.Report([result])).splitlines()
+    at = lines.index("    because: refused a valid stream: features: final state")
+    assert lines[at + 1].startswith("    h[0, 0]: got")
+
+
+def test_a_refusal_of_an_unknown_stream_is_named_in_a_line(folder):
+    path = folder / "codec" / "refusals.json"
+    path.write_text(json.dumps({"nothng": "empty"}), encoding="utf-8")
+    with pytest.raises(safetensors.TensorError, match="nothng: did you mean 'nothing'") as error:
+        check(folder, "nothing")
+    assert "\n" not in str(error.value)
 
 
 def test_a_picture_shows_what_the_arrays_do_not():
@@ -240,7 +272,8 @@ def test_a_picture_shows_what_the_arrays_do_not():
     port = Decoder("")
     port.run = lambda case: answers(mistake, case)
     report = checker.check_port(port, ["L3"], ["codec", "pictures"])
-    assert report.levels()["L3"]["passed"] == len(GOOD + BAD)
+    counts = report.levels()
+    assert [counts[row]["passed"] for row in ("L3", "invalid")] == [len(GOOD), len(BAD)]
     assert [r.id for r in report.results if r.wrong] == ["pictures/full", "pictures/static"]
     assert mistake.description in report.first.explanation
 
