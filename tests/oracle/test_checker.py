@@ -14,7 +14,6 @@ import p4dgs_ref
 from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published, report, safetensors
-from p4dgs_ref.oracle.compare import expected
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests import processes
@@ -73,17 +72,6 @@ def test_the_worst_element_is_named(tmp_path):
     want = right("offsets")["ordinary/out.x"][0, 1, 1]
     assert finding.index == (0, 1, 1) and finding.scaled > finding.bound
     assert finding.got == pytest.approx(want - 7e-6)
-
-
-def test_an_image_has_a_bound_for_all_its_pixels_together():
-    """Every pixel is within its own bound here."""
-    case = published.cases("compositing")[0]
-    bounds, scale = case.tolerance("float64"), case.tensors["scale.out.image"]
-    got = expected(case.tensors)
-    for bound, verdict in (bounds["rms_eps_S"], "pass"), (bounds["eps_S"], "fail"):
-        wrong = got["out.image"] + 0.99 * bound * 2.0**-52 * scale
-        result = checker.judge_answer(case, got | {"out.image": wrong})
-        assert result.verdict == verdict and bounds["rms_eps_S"] < bounds["eps_S"]
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
