@@ -61,9 +61,11 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
     which the inputs are given. With `strict`, answers fail that are acceptable only because the
-    printed formula is no better. Raises KeyError where `key` is no subject and no case, and
-    ValueError where `dtype` is neither float64 nor float32.
+    printed formula is no better. Raises KeyError if `key` is no subject and no case, TypeError if
+    `forward` is no function, and ValueError if `dtype` is neither float64 nor float32.
     """
+    if not callable(forward):
+        raise TypeError(f"forward: expected a function, got {type(forward).__name__}")
     port = FunctionPort(forward, vjp, dtype)
     return Report(check_subject(published.cases(key), port, strict), {}, port.dtype.name, strict)
 
@@ -72,9 +74,12 @@ def check_port(port, levels=(), only=(), progress=lambda text: None, strict=Fals
     """Return a Report on a port, in the order in which data flows.
 
     `levels` and `only` (subjects, equations, groups or ids of cases) choose cases; if they are
-    empty, all cases run. `strict` is that of `check`.
+    empty, all cases run. `strict` is that of `check`. Raises SelectionError if they name something
+    unknown or choose no case.
     """
-    only, results = {only} if isinstance(only, str) else set(only), []
+    levels, only = ({names} if isinstance(names, str) else {*names} for names in (levels, only))
+    published.require_known(levels, only)
+    results = []
     for level in (level for level in LEVELS if not levels or level in levels):
         chosen = [row["name"] for row in _chosen(published.stream_rows(), {"codec"}, only)]
         if level == "L3" and chosen:
@@ -89,6 +94,11 @@ def check_port(port, levels=(), only=(), progress=lambda text: None, strict=Fals
                 progress(subject["key"])
                 cases = [case for case in published.read(subject) if case.id in chosen]
                 results += check_subject(cases, port, strict)
+    if not results:
+        raise published.SelectionError(
+            f"levels {' '.join(sorted(levels))}, only {' '.join(sorted(only))}: no such case; "
+            "`p4dgs-ref oracle list` lists them"
+        )
     dtype = getattr(port, "dtype", None)
     says = getattr(port, "says", {})
     return Report(results, says, dtype and np.dtype(dtype).name, strict)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..limits import cut
 from . import safetensors
-from .compare import PRECISIONS, cast, differences, expected, precision
+from .compare import PRECISIONS, cast, differences, precision
 from .published import flatten, meant, stream_rows, subjects
 from .safetensors import require
 
@@ -35,13 +35,17 @@ class FolderPort:
     """
 
     def __init__(self, folder):
-        """Raises TensorError where a file bears no subject's name."""
+        """Raises TensorError if a file has no subject's name, or a subject has two files."""
         self.folder = Path(folder)
         self.loaded = {}  # subject -> (arrays, file)
         streams = [row["name"] for row in stream_rows()]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
                 require(file.stem in known, f"{file}: name", meant(file.stem, known))
+                twin = file.with_suffix(".npz")
+                require(
+                    file == twin or not twin.exists(), twin, f"expected one file, not also {file}"
+                )
 
     def run(self, case):
         """Return the tensors of one case.
@@ -87,20 +91,21 @@ class FolderPort:
     def decode(self, name, _):
         """Return the arrays that the port found in a stream, and why it refused it, or None.
 
-        Raises PortError.
+        Raises PortError, and TensorError if a refusal has the name of no stream.
         """
         file = self.folder / "codec" / "refusals.json"
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
+        known = [row["name"] for row in stream_rows()]
+        for unknown in (reasons or {}).keys() - {*known}:
+            raise safetensors.TensorError(f"{file}: {unknown}: {meant(unknown, known)}")
         if reasons is None or not isinstance(reasons.get(name), str | None):
             raise PortError(
                 "damaged",
                 f"{file}: expected a JSON object "
                 "{name of a stream: the reason of its refusal, or null}",
             )
-        if reasons.get(name) is not None:
-            return None, reasons[name]
         try:
-            return self.load(f"codec/{name}")[0], None
+            return self.load(f"codec/{name}")[0], reasons.get(name)
         except PortError as error:
             if error.kind == "missing" and name in reasons:
                 return {}, reasons[name]

@@ -32,6 +32,10 @@ GROUPS = {
 }
 
 
+class SelectionError(ValueError):
+    """The names of levels, subjects or cases choose no case. The message is one line."""
+
+
 class Golden(NamedTuple):
     """One case of the vectors."""
 
@@ -112,15 +116,24 @@ def meant(name, known):
     return f"{hint}expected one of {', '.join(known)}"
 
 
+def require_known(levels, only):
+    """Raise SelectionError unless all names are of levels, and of subjects, groups or cases."""
+    subjects_of = {name: names(str(name).rpartition("/")[0]) for name in only}
+    for what, known_to in ("levels", dict.fromkeys(levels, LEVELS)), ("only", subjects_of):
+        for name, known in known_to.items():
+            if name not in known:
+                raise SelectionError(f"{what} {name}: {meant(str(name), known)}")
+
+
 def cases(key):
     """Return the cases of the subject with that key, or the single case with that id.
 
-    Raises KeyError where there is no such subject or case.
+    Raises KeyError if there is no such subject or case.
     """
-    subject, slash, _ = key.partition("/")
+    subject, slash, _ = str(key).partition("/")
     known = names(subject) if slash and subject in subjects() else subjects()
     if key not in known:
-        raise KeyError(f"{key!r}: {meant(key, known)}")
+        raise KeyError(f"{key!r}: {meant(str(key), known)}")
     return [case for case in read(subjects()[subject]) if key in (subject, case.id)]
 
 

@@ -356,9 +356,9 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
         (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
-        (["check", ".", "--only", "ofsets"], "--only ofsets: did you mean 'offsets'?"),
-        (["check", ".", "--only", "view/fa"], "--only view/fa: did you mean 'view/far'?"),
-        (["check", ".", "--level", "L5"], "--level L5: expected one of L0, L1, L2, L3, L4"),
+        (["check", ".", "--only", "ofsets"], "only ofsets: did you mean 'offsets'?"),
+        (["check", ".", "--only", "view/fa"], "only view/fa: did you mean 'view/far'?"),
+        (["check", ".", "--level", "L5"], "levels L5: expected one of L0, L1, L2, L3, L4"),
     ],
 )
 def test_mistakes_of_the_user(capsys, argv, says):
