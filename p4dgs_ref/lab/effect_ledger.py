@@ -1,23 +1,22 @@
 """The ledger of effects: the work and the bytes of each effect of a scene, and what it gains.
 
-Work is counted while frames are drawn, from what the equations save. Work and bytes are those that
-would go if this effect alone were switched off: hidden layers that it shares with another one stay.
+Work is that of the networks' layers and of the splats in the tiles of drawn frames. Work and bytes
+are those that would go if this effect alone were switched off: hidden layers that it shares with
+another one stay.
 A gain is measured by trainings, with the list of the scene and with one effect switched, at the
 same seeds. It counts as one where it is larger than twice its standard error.
 """
 
 from collections import Counter
-from contextlib import contextmanager
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from .. import effects as fx
-from ..model import declared_numbers
+from ..model import ANCHOR_NETWORKS, declared_numbers
 from ..report.figures import BLUE, figure_style, save_figure, subplots
 from ..scenes.scene import MODEL_EFFECTS
-from ..splatting import render
+from ..splatting import fast, render
 from ..splatting.settings import FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
@@ -26,56 +25,27 @@ from .writer import text_table, twice_standard_error
 
 SEEDS = 3
 AS_LISTED = "as listed"
-VIEW_EFFECTS = {  # the effect for which an equation of the anchor networks reads the view
-    **dict.fromkeys(("opacity", "rotation", "scale"), "view_geometry"),
-    "color": "view_color",
-}
-# Equations that are called only for these effects.
-CALLED_FOR = {
-    "view": ("view_color", "view_geometry"),
-    **dict.fromkeys(("positional_encoding", "deformation", "deformed"), fx.MOTION),
-}
+# Equations that are called only for effects of the view, or of motion.
+ONLY_FOR_EFFECTS = ("view", "positional_encoding", "deformation", "deformed")
 
 
 # --- work and bytes -------------------------------------------------------------------------------
-class Work(NamedTuple):
-    """What equations did while they were watched."""
-
-    calls: Counter  # {(equation, "forward" or "backward"): calls}
-    multiply_adds: Counter  # {effect: multiply-adds of forwards}
-
-
-@contextmanager
-def count_work():
-    """A `with` block that gives the Work of the equations that are called in it."""
-    work = Work(Counter(), Counter())
-
-    def count(event, mark, frame, value):
-        if event == "return" and value is not None:  # None: the call was interrupted
-            work.calls[mark] += 1
-            if mark[1] == "forward":
-                work.multiply_adds.update(multiply_adds(mark[0], value[1]))
-
-    with watching(equation_codes(), count):
-        yield work
-
-
-def multiply_adds(key, saved):
-    """{effect: multiply-adds} of a forward, from what it returns for its backward."""
-    if key in VIEW_EFFECTS:
-        (inputs, weights), d = saved[-1]
-        return {VIEW_EFFECTS[key]: inputs[0][:, d:].size * weights[0].shape[1]}
-    if key == "deformation":
-        _, _, (inputs, (*trunk, last)), cuts = saved
-        heads = dict(zip(fx.MOTION, np.split(last, cuts, axis=1)))
-        on = {effect: head.size for effect, head in heads.items() if head.size}
-        shared = sum(W.size for W in trunk) if len(on) == 1 else 0
-        return {effect: len(inputs[0]) * (size + shared) for effect, size in on.items()}
-    if key == "compositing, fast":
-        chunks, T, background, occlusion, *_ = saved
-        pairs = sum(A.size for _, _, A, *_ in chunks)
-        return {"occlusion": 2 * pairs * occlusion, "background": 3 * T.size * background.any()}
-    return {}
+def network_work(design, A, N):
+    """Return {effect: multiply-adds} of the networks for A anchors and N Gaussians of a frame."""
+    layers, work = design.layers(), Counter()
+    for name in ANCHOR_NETWORKS:
+        inputs, outputs = layers[name][0]
+        effect = "view_color" if name == "psi_c" else "view_geometry"
+        work[effect] += A * (inputs - design.d) * outputs
+    # Time is one input for all Gaussians: what the first layer of psi_d makes of it is not counted.
+    widths = (3 * (1 + 2 * design.L_x), *design.deformation)
+    trunk = sum(rows * columns for rows, columns in zip(widths, design.deformation))
+    heads = dict(zip(fx.MOTION, fx.heads(design.effects)))
+    listed = [effect for effect in fx.MOTION if heads[effect]]
+    for effect in listed:
+        own = trunk if listed == [effect] else 0
+        work[effect] = N * (own + widths[-1] * heads[effect])
+    return work
 
 
 def effect_bytes(design):
@@ -95,15 +65,27 @@ def costs(model, frames):
     were called.
     """
     occlusion = "occlusion" in model.design.effects
-    with count_work() as work:
+    codes = {**equation_codes(), fast.front_to_back.__code__: ("front_to_back", "forward")}
+    work, called = Counter(), set()
+
+    def see(event, mark, frame, value):
+        called.add(mark[0])
+        if event == "call" and mark[0] == "front_to_back":
+            # For every splat in a pixel of its tile: its weight, and what it leaves of the light.
+            work["occlusion"] += 2 * frame.f_locals["A"].size
+
+    with watching(codes, see):
         for camera, time in frames:
-            *looks, _ = model.gaussians(time, camera)
+            *looks, index = model.gaussians(time, camera)
+            work += network_work(model.design, model.count, len(index))
             render.forward(*looks, camera, model.background, FAST, occlusion)
+            if model.background.any():
+                work["background"] += 3 * camera.height * camera.width
     sizes = effect_bytes(model.design)
     return {
-        effect: {"work": round(work.multiply_adds[effect] / len(frames)), "bytes": sizes[effect]}
+        effect: {"work": round(work[effect] / len(frames)), "bytes": sizes[effect]}
         for effect in MODEL_EFFECTS
-    }, {key for key, _ in work.calls}
+    }, called
 
 
 # --- the ledger -----------------------------------------------------------------------------------
@@ -129,7 +111,7 @@ def of_scene(scene):
         with_it = Trainer(toggle_effect(scene, row["effect"]), TINY).model()
         cost = costs(with_it, frames)[0][row["effect"]]
         row |= {f"if_{kind}": amount for kind, amount in cost.items()}
-    return {"effects": rows, "never_called": [key for key in CALLED_FOR if key not in called]}
+    return {"effects": rows, "never_called": [key for key in ONLY_FOR_EFFECTS if key not in called]}
 
 
 # --- what an effect gains -------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.equations import deformation, offsets
 from p4dgs_ref.lab import effect_ledger
 from p4dgs_ref.lab.accuracy import trainings
 from p4dgs_ref.lab.writer import read_csv
@@ -53,25 +52,18 @@ def test_only_listed_effects_take_work_and_bytes(name):
     assert result["never_called"] == (moving if name == "static" else [])
 
 
-def test_what_interrupts_an_equation_stays_the_error_while_work_is_counted():
-    class Stopped:
-        def __getitem__(self, key):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt), effect_ledger.count_work() as work:
-        offsets.forward(Stopped(), 1, 1)
-    assert not work.calls
-
-
 def test_work_that_effects_share_belongs_to_none_of_them():
-    def work(*heads):
-        shapes = [(12, 5), *((5, columns) for columns in heads)]
-        weights, biases = [np.ones(s) for s in shapes], [np.ones(s[1]) for s in shapes]
-        _, saved = deformation.forward(np.zeros((4, 3)), 0.5, weights, biases, 1, 1)
-        return effect_ledger.multiply_adds("deformation", saved)
+    design = replace(
+        trained("static").design, d=6, k=2, hidden=(7,), deformation=(5,), L_x=1, L_t=1
+    )
 
-    assert work(3, 0, 0) == {"translation": 4 * (9 * 5 + 5 * 3)}
-    assert work(3, 3, 4) == {"translation": 60, "scaling": 60, "rotation": 80}
+    def work(*effects):
+        return effect_ledger.network_work(replace(design, effects=effects), A=3, N=4)
+
+    assert +work("translation") == {"translation": 4 * (9 * 5 + 5 * 3)}
+    assert +work(*MOTION) == {"translation": 60, "scaling": 60, "rotation": 80}
+    assert +work("view_color") == {"view_color": 3 * 4 * 7}
+    assert +work("view_geometry") == {"view_geometry": 3 * (3 * 4 * 7)}  # of three networks
 
 
 # --- gains ---------------------------------------------------------------------------------------
