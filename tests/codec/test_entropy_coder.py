@@ -31,7 +31,7 @@ from p4dgs_ref.codec.streams import (
 )
 from tests.codec.models import flips, prefixes, refusal
 from tests.sampling import few
-from tests.workshop import make_tables, plain_decoder
+from tests.workshop import make_tables
 
 TWIN = dict(push_rows=rans.push_rows_plainly)
 
@@ -90,21 +90,6 @@ def test_tables_are_those_of_the_format():
     digest = hashlib.sha256(numbers.tobytes()).hexdigest()
     assert digest == "0b6b33feb22f099d8d04ffc834e32affe12432e36e09c5e1f25e7209c56d9477"
     assert {name: values.tolist() for name, values in tables.items()} == make_tables.make_tables()
-
-
-def test_frequencies_are_those_of_the_page():
-    rng = np.random.default_rng(1)
-    near, far = rng.integers(-40000, 40000, 300), rng.integers(-MU_LIMIT, MU_LIMIT, 100)
-    mu_units = np.concatenate([near, far])
-    sigma_units = rng.integers(SIGMA_MIN, SIGMA_MAX + 1, 400)
-    model = gaussian_model(mu_units, sigma_units)
-    for i, (mu, sigma) in enumerate(zip(mu_units.tolist(), sigma_units.tolist())):
-        table = model.table[i]
-        blocks = int(model.blocks[table])
-        for offset in {0, 1, blocks // 2, int(rng.integers(blocks)), blocks - 1, blocks}:
-            cum, *others = plain_decoder.gaussian(mu, sigma)
-            assert others == [blocks, model.lowest[i], model.low[table]]
-            assert model.keys[model.first[table] + offset] == (int(table) << 24) + cum(offset)
 
 
 def test_every_table_totals_2_to_the_24_and_every_frequency_is_positive():

@@ -5,6 +5,8 @@ float context.
 """
 
 import os
+from math import frexp, ldexp
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +21,6 @@ from p4dgs_ref.equations.prior import layout
 from tests import processes
 from tests.codec.models import DECODE_AND_PRINT, digest, random_model
 from tests.sampling import few
-from tests.workshop import plain_decoder
 
 SEVERAL = dict(
     anchors=400,
@@ -171,15 +172,34 @@ def test_largest_networks_equal_pythons_integers(name, scale):
     x = np.full((2, widths[0]), 2**15)
     x[1] = rng.integers(-(2**15), 2**15 + 1, widths[0])
     layers = integer_layers(weights, biases)
-    numbers = [v for pair in zip(weights, biases) for a in pair for v in a.ravel().tolist()]
     y = run_network(x.astype(float), layers).astype(int).tolist()
     for row, outputs in zip(x.tolist(), y):
-        found = plain_decoder.run_network(row, widths, numbers)
-        assert (outputs, layers[-1].bits, layers[-1].bound) == found
+        want = network_in_integers(row, weights, biases)
+        assert (outputs, layers[-1].bits, layers[-1].bound) == want
     assert max(layer.bound for layer in layers) < 2**52
     for layer in layers:
         assert np.abs(layer.W).max() < 2**15
         assert np.array_equal(layer.W, np.rint(layer.W))
+
+
+def network_in_integers(x, weights, biases):
+    """Return outputs, fractional bits and bound of a network: the format page in Python's integers.
+
+    The letters are those of the page, parts a to d of NETWORKS.
+    """
+    a, X = 15, 2**15
+    for W, b in zip(weights, biases):
+        p, p_b = (frexp(np.abs(values).max())[1] for values in (W, b))
+        n = min(15 - p, 50 - p_b - a, 24)
+        columns = [[round(ldexp(w, n)) for w in column] for column in W.T.tolist()]
+        b = [round(ldexp(v, a + n)) for v in b.tolist()]
+        a += n
+        y = [sum(x_i * w for x_i, w in zip(x, column)) + v for column, v in zip(columns, b)]
+        B = X * max(sum(map(abs, column)) for column in columns) + max(map(abs, b))
+        s = max(0, B.bit_length() - 22)
+        last, x = (y, a, B), [max(0, (value + 2**s // 2) >> s) for value in y]
+        a, X = a - s, (B + 2**s // 2) >> s
+    return last
 
 
 def rounded(value, s, limit):
@@ -207,6 +227,23 @@ def test_outputs_are_rescaled_as_the_format_says(bits, limit):
         want = [rounded(value, s, limit) for value in y.tolist()]
         found = integer_context.rescale(y.astype(float), bits + s, bits, limit)
         assert found.tolist() == want, s
+
+
+def test_steps_are_rounded_as_the_format_says():
+    """For every output of psi_q. Where `share` ends in 128, q_units is rounded up."""
+    psi_q = integer_layers([np.full((1, 4), 8.0)], [np.zeros(4)])  # the output is the input
+    psi_p = integer_layers([np.zeros((1, 8))], [np.zeros(8)])
+    groups = SimpleNamespace(Q_0=(1.0, 1.0, 1.0, 1.0), widths=(1, 1, 1, 1))
+    outputs = np.arange(-(2**15), 2**15 + 1)
+    q = integer_context.context_of(outputs[:, None].astype(float), psi_q, psi_p, groups)[0]
+    sigmoid, ties = lookup_table("sigmoid").tolist(), 0
+    for u, found in zip(outputs.tolist(), (q[:, 0] * 2**15).tolist()):
+        i, r = divmod(max(0, min(u + 4 * 2**12, 10 * 2**12 - 1)), 64)
+        share = sigmoid[i] + (sigmoid[i + 1] - sigmoid[i]) * r // 64
+        ties += share % 256 == 128
+        want = max(32, min((share + 128) // 256, 65536))
+        assert found == want, f"u = {u}, share = {share}: q_units = {found:g}, expected {want}"
+    assert ties > 100
 
 
 def test_a_bound_is_reached():
