@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from p4dgs_ref.lab.accuracy import forms, formulas, picture, trainings
 from p4dgs_ref.lab.stability import plane
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
+from tests import ROOT
 from tests.sampling import few, of_the_day, turn
 from tests.tutorials import drawn
 from tests.workshop import demo
@@ -214,3 +216,13 @@ def test_a_terminal_is_asked(answer, code, tmp_path, quick_trainings, monkeypatc
     assert cli.run(["accuracy", "--train", "-o", str(tmp_path)], 0) == code
     assert "go on? [y/N] " in sys.stderr.getvalue()
     assert (tmp_path / "training.csv").exists() == (code == 0)
+
+
+def test_studies_use_forward_and_backward_of_an_equation_alone():
+    """So that another Eq. (11) in the place of ours does not end a command with an ImportError."""
+    rooms = [ROOT / "p4dgs_ref" / room for room in ("report", "oracle", "lab", "cli")]
+    for file in (file for room in rooms for file in room.rglob("*.py")):
+        parts = re.findall(
+            r"from \S*\.equations\.(?!numerics)\w+ import .*", file.read_text(encoding="utf-8")
+        )
+        assert not parts, f"{file.relative_to(ROOT)}: {parts}"

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.special import ndtr, roots_legendre
 
 from ...equations import likelihood
-from ...equations.likelihood import PHI_0, phi
 
 # Bits and slopes of points of the plane of bins, from 60-digit arithmetic.
 # `python -m tests.workshop.likelihood_points` writes them in a checkout.
 DIGITS = Path(__file__).with_name("sixty_digits.json")
+PHI_0 = 1 / math.sqrt(2 * math.pi)  # density of the standard Gaussian at its mean
 SMALLEST_BITS = 1e-6  # errors of fewer bits are relative to this
 HAC_FLOOR = 1e-6  # of p, in HAC: at most 19.93 bits
 TABLE_REACH = 8.0  # sigmas: beyond, the tables are constant
@@ -48,6 +48,11 @@ def formula_of(log_p_of, folded=True):
         return bits, tuple(saved)
 
     return formula
+
+
+def phi(v):
+    """Return the density of the standard Gaussian."""
+    return PHI_0 * np.exp(-0.5 * v**2)
 
 
 def slopes(at_low, at_high):
