@@ -19,7 +19,7 @@ from ...splatting.table import EQUATIONS
 from ..writer import text_table
 from .room import files_of, keys_of, parts_of, stub, text_of
 from .similar import pairs, statements, unusual
-from .student import Student
+from .student import Minute, Student
 
 NOT_BEGUN = "not begun"
 POINTS = 10  # of an equation, divided among the parts that it has in these shares:
@@ -46,9 +46,9 @@ def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
     students, works = [], []
     for name, files in places.items():
         progress(f"grading {name}")
-        read = {key: source_in(files, key) for key in keys}
+        minute, read = Minute(), {key: source_in(files, key) for key in keys}
         works.append((name, {key: source for key, (source, _) in read.items()}))
-        rows = [row_of(key, files, *read[key], seed) for key in keys]
+        rows = [row_of(key, files, *read[key], seed, minute) for key in keys]
         points = round(sum(row["points"] for row in rows), 4)
         students.append(
             {"student": name, "points": points, "of": POINTS * len(rows), "equations": rows}
@@ -67,15 +67,17 @@ def source_in(folder, key):
     return ("", NOT_BEGUN) if source == stub(key) else (source, "")
 
 
-def row_of(key, files, source, says, seed):
+def row_of(key, files, source, says, seed, minute):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
+
+    `minute` is what is left of the time for all answers of the student.
 
     In the row, `says` is the reason why points are missing. `unusual` are names that no equation
     needs; they cost no points.
     """
     parts, points = {}, 0.0
     if not says:
-        with Student(files / f"{key}.py") as student:
+        with Student(files / f"{key}.py", minute) as student:
             parts = marks(key, student, cases(key, seed))
             shares = [right / asked for right, asked in parts.values()]
             points = POINTS * np.average(shares, weights=[SHARES[part] for part in parts])

@@ -151,8 +151,9 @@ is right on paper but has too few digits in float64 loses most of the hard cases
   nodes. Only the modules that the file imported originally, and those that they use, can be
   imported from `p4dgs_ref`.
 - Functions receive float64 and must return numbers of float64, or integers where the equation says
-  so. Another type gets no points. Printed text is ignored, and functions that run for too long are
-  stopped.
+  so. Another type gets no points. Printed text is ignored.
+- A function that runs for more than 5 seconds on one input is stopped. All answers from your files
+  together have one minute; when little of it is left, an answer gets a tenth of the rest.
 - Your teacher is told which files of two students are alike, which are like the package's own, and
   which use names that no equation needs, such as `open`, `exec` or `sys`. That takes no points
   away.

@@ -1,8 +1,12 @@
 """The guarded process that answers with a student's file.
 
-It speaks the protocol of `oracle.adapter`, whose limits of time and bytes hold. It cannot import
-the equation that the file should compute. The field `subject` of a request says what is asked:
+It speaks the protocol of `oracle.adapter`, whose limits of bytes hold. It cannot import the
+equation that the file should compute. The field `subject` of a request says what is asked:
 `forward` or `backward`.
+
+An answer may take CASE_SECONDS, and all answers of a student together STUDENT_SECONDS. When little
+of that is left, an answer may take a tenth of it, so that a file which hangs again and again leaves
+enough for files that answer at once.
 """
 
 import json
@@ -23,17 +27,32 @@ from ...splatting.table import EQUATIONS
 from .room import text_of
 
 CASE_SECONDS = 5
-START = (
-    "import sys; sys.path[0] = sys.argv.pop(1); "
-    "from p4dgs_ref.lab.classroom.student import main; main(sys.argv[1])"
-)
+STUDENT_SECONDS = 60
+# The parent of the process that runs the file only waits for it: a file that sends a signal to its
+# parent does not reach the grader. Windows cannot fork; there the parent is the grader.
+START = """
+import os, sys, time
+grader, child, ended = os.getppid(), os.fork() if hasattr(os, "fork") else 0, 0
+while child and not ended:
+    time.sleep(0.05)
+    ended, status = os.waitpid(child, os.WNOHANG)
+    if os.getppid() != grader:
+        os._exit(1)
+if child:
+    code = os.waitstatus_to_exitcode(status)
+    os.kill(os.getpid(), -code) if code < 0 else os._exit(code)
+sys.path[0] = sys.argv.pop(1)
+from p4dgs_ref.lab.classroom.student import main
+main(sys.argv[1])
+"""
 
 
 # --- the process, from outside --------------------------------------------------------------------
 class Student(Adapter):
-    """The process with one student's file."""
+    """The process with one student's file; `minute` is shared by all files of the student."""
 
-    def __init__(self, path):
+    def __init__(self, path, minute):
+        self.minute = minute
         command = [sys.executable, "-c", START, str(Path(__file__).parents[3]), str(path)]
         super().__init__(command)
 
@@ -42,9 +61,21 @@ class Student(Adapter):
         return SimpleNamespace(run=lambda case: self.run(case._replace(subject=name)))
 
     def _exchange(self, request, field):
-        # Importing NumPy at the start does not count against the student.
-        self.timeout = CASE_SECONDS if "id" in request else 60
-        return super()._exchange(request, field)
+        if "id" not in request:  # importing NumPy does not count against the student
+            self.timeout = 60
+            return super()._exchange(request, field)
+        self.timeout, start = min(CASE_SECONDS, self.minute.left / 10), time.monotonic()
+        try:
+            return super()._exchange(request, field)
+        finally:
+            self.minute.left -= time.monotonic() - start
+
+
+class Minute:
+    """The seconds that are left for the answers of a student."""
+
+    def __init__(self):
+        self.left = STUDENT_SECONDS
 
 
 # --- inside the process ---------------------------------------------------------------------------
@@ -84,21 +115,29 @@ def load(path):
     return eq._replace(module=module)
 
 
-def end_after(parent):
+def end_without(parent):
+    """End this process if its parent has ended, by itself or by a signal of the file."""
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def watch(parent):
     """End this process when its parent has ended; a file that hangs would go on for ever."""
-    while os.getppid() == parent:
+    while True:
         time.sleep(1.0)
-    os._exit(1)
+        end_without(parent)
 
 
 def main(path):
     """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
-    threading.Thread(target=end_after, args=[os.getppid()], daemon=True).start()
+    parent = os.getppid()
+    threading.Thread(target=watch, args=[parent], daemon=True).start()
     lock(Path(path).stem)
     requests, sys.stdin = sys.stdin, open(os.devnull)  # input() in a student's file ends at once
     replies, sys.stdout = sys.stdout, sys.stderr
     for request in map(json.loads, requests):
         reply = tried(path, request) if "id" in request else {"p4dgs_oracle": 1}
+        end_without(parent)
         print(json.dumps(reply), file=replies, flush=True)
 
 

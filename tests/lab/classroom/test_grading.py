@@ -194,6 +194,11 @@ GRADED = {
         *("offsets", "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)", None, 0),
         *(NOTHING, "signal 9"),
     ),
+    "signals its parent": (
+        "offsets",
+        "import os, signal, time\nos.kill(os.getppid(), signal.SIGTERM)\ntime.sleep(60)",
+        *(None, 0, NOTHING, "the process ended without an answer: killed by signal 15"),
+    ),
     "prints endlessly": (
         *("offsets", "while True:\n    print('x' * 10000)", None, 0, NOTHING, "hung"),
     ),
@@ -205,9 +210,10 @@ USES = {  # names that no equation needs
     "ends the process": "os",
     "ends politely": "sys",
     "is killed": "os",
+    "signals its parent": "os",
 }
 # Each of their cases starts the process anew, which takes seconds.
-RESTARTED = ("hangs", "ends the process", "is killed", "prints endlessly")
+RESTARTED = ("hangs", "ends the process", "is killed", "signals its parent", "prints endlessly")
 SAMPLED = few([name for name in GRADED if name not in RESTARTED], 1, 8)
 
 
@@ -220,6 +226,20 @@ def test_points_and_reasons(name, tmp_path, monkeypatch):
     assert row["parts"] | parts == row["parts"]
     assert reason in row["says"] and bool(reason) == bool(row["says"])
     assert row["unusual"] == USES.get(name, "")
+
+
+def test_all_answers_of_a_student_share_a_minute(monkeypatch):
+    minute, waited = student.Minute(), []
+    monkeypatch.setattr(
+        student.Adapter, "_exchange", lambda self, request, field: waited.append(self.timeout)
+    )
+    for left in (60, 20, 0.5):
+        minute.left = left
+        student.Student("offsets.py", minute)._exchange({"id": "offsets/ordinary"}, "id")
+        assert left - 0.1 < minute.left < left  # the answer's own seconds are taken away
+    assert waited == [student.CASE_SECONDS, 2, 0.05]  # then a tenth of what is left
+    student.Student("offsets.py", minute)._exchange({"p4dgs_oracle": 1}, "p4dgs_oracle")
+    assert waited[-1] == 60  # to start takes none of it
 
 
 @pytest.mark.parametrize(
