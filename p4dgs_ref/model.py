@@ -14,8 +14,8 @@ import numpy as np
 
 from . import effects as fx
 from .attributes import GROUPS
+from .equations import color as color_equation
 from .equations import (
-    color,
     deformation,
     deformed,
     hash_grid,
@@ -201,14 +201,15 @@ def predict(design, networks, anchors, x_c, t=None):
     for_geometry = seen if "view_geometry" in effects else unseen
 
     # All children [A, k, ...]:
-    alpha, back_alpha = with_backward(opacity, f_a, *for_geometry, *networks["psi_alpha"])
-    c, back_c = with_backward(color, f_a, *for_color, *networks["psi_c"])
-    r, back_r = with_backward(rotation, f_a, *for_geometry, *networks["psi_r"])
-    s, back_s = with_backward(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
     x, back_x = with_backward(offsets, anchors.x_a, anchors.O_a, anchors.l_a)
-    # From here on the N kept children alone, in one list [N, ...]; `index` says which they are:
-    kept, back_kept = with_backward(masking, alpha, anchors.mask, design.tau_alpha, x, c, s, r)
-    alpha_kept, x, c, s, r, index = kept
+    s, back_s = with_backward(scale, anchors.s_a, f_a, *for_geometry, *networks["psi_s"])
+    r, back_r = with_backward(rotation, f_a, *for_geometry, *networks["psi_r"])
+    alpha, back_alpha = with_backward(opacity, f_a, *for_geometry, *networks["psi_alpha"])
+    color, back_color = with_backward(color_equation, f_a, *for_color, *networks["psi_c"])
+    # From here on the N kept children alone, in one list [N, ...]; `index` says which they are.
+    # `masking` returns them, and takes their gradients, in the order of the published vectors.
+    kept, back_kept = with_backward(masking, x, s, r, alpha, color, anchors.mask, design.tau_alpha)
+    alpha_kept, x, color, s, r, index = kept
     back_move = None
     if t is not None and "psi_d" in networks:
         (x, s, r), back_move = move(design, networks, x, s, r, t)
@@ -219,9 +220,12 @@ def predict(design, networks, anchors, x_c, t=None):
             x_bar, s_bar, r_bar, networks_bar = back_move(x_bar, s_bar, r_bar)
         children = back_kept(alpha_bar, x_bar, color_bar, s_bar, r_bar)  # [N, ...] -> [A, k, ...]
         placed = back_x(children["x"])
-        psi_s, psi_r = back_s(children["s"]), back_r(children["r"])
-        psi_c, psi_alpha = back_c(children["color"]), back_alpha(children["alpha"])
-        predicted = dict(zip(ANCHOR_NETWORKS, (psi_alpha, psi_c, psi_r, psi_s)))
+        predicted = {
+            "psi_alpha": back_alpha(children["alpha"]),
+            "psi_c": back_color(children["color"]),
+            "psi_r": back_r(children["r"]),
+            "psi_s": back_s(children["s"]),
+        }
         f_a_bar = sum(psi["f_a"] for psi in predicted.values())
         x_a_bar = placed["x_a"]
         if back_view:  # every network that sees the view sends its gradient back
@@ -231,13 +235,13 @@ def predict(design, networks, anchors, x_c, t=None):
         attributes_bar = {
             "x_a": x_a_bar,
             "f_a": f_a_bar,
-            "s_a": psi_s["s_a"],
+            "s_a": predicted["psi_s"]["s_a"],
             "l_a": placed["l_a"],
             "O_a": placed["O_a"],
         }
         return attributes_bar, {**networks_bar, **predicted}
 
-    return Gaussians(x, s, r, alpha_kept, c, index), alpha, back
+    return Gaussians(x, s, r, alpha_kept, color, index), alpha, back
 
 
 def bounding_box(x_a):

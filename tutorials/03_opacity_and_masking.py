@@ -104,10 +104,11 @@ assert close(alpha, [np.tanh(psi)])
 # equals the threshold.
 
 # %%
-WIDTHS = {"x": 3, "color": 3, "s": 3, "r": 4}
+WIDTHS = {"x": 3, "s": 3, "r": 4, "color": 3}
 three = {name: np.arange(3.0 * width).reshape(1, 3, width) for name, width in WIDTHS.items()}
 all_three = np.ones((1, 3), bool)
-kept, _ = masking.forward(np.array([[0.4, -0.1, 0.0]]), all_three, 0.0, **three)
+opacities = np.array([[0.4, -0.1, 0.0]])
+kept, _ = masking.forward(**three, alpha=opacities, mask=all_three, tau_alpha=0.0)
 kept_alpha, kept_x, kept_color, kept_s, kept_r, index = kept
 assert index.tolist() == [0, 2]
 assert kept_alpha.tolist() == [0.4, 0]
@@ -183,7 +184,7 @@ A, k, d = 6, 4, 3
 opacities = rng.uniform(-1, 1, (A, k))
 mask = rng.random((A, k)) < 0.8
 given = {name: rng.normal(size=(A, k, width)) for name, width in WIDTHS.items()}
-kept, masking_saved = masking.forward(opacities, mask, 0.0, **given)
+kept, masking_saved = masking.forward(**given, alpha=opacities, mask=mask, tau_alpha=0.0)
 *attributes, index = kept  # index holds integers and has no cotangent
 kept_bars = random_like(rng, attributes)
 alpha_bar = masking.backward(masking_saved, *kept_bars)["alpha"]
@@ -304,7 +305,7 @@ assert close(packed.sum(), right.sum())
 assert close(np.linalg.norm(packed), np.linalg.norm(right))
 
 step = 1e-6 * rng.normal(size=(A, k))
-stepped, _ = masking.forward(opacities + step, mask, 0.0, **given)
+stepped, _ = masking.forward(**given, alpha=opacities + step, mask=mask, tau_alpha=0.0)
 change = inner(kept_bars[0], stepped[0] - kept[0])
 claimed = inner(packed.reshape(A, k), step)
 assert close(inner(right, step), change, 1e-6)
@@ -388,11 +389,11 @@ def my_mlp_backward(inputs, cotangents):
 
 
 def my_masking_backward(inputs, cotangents):
-    """Return the gradients {"alpha", "x", "color", "s", "r"} in the shapes of these inputs.
+    """Return the gradients {"x", "s", "r", "alpha", "color"} in the shapes of these inputs.
 
-    `inputs` holds "alpha" [A, k], "x", "color" and "s" [A, k, 3], "r" [A, k, 4], "mask" [A, k] and
-    the number "tau_alpha". `cotangents` holds "alpha_bar" [N], "x_bar", "color_bar" and "s_bar"
-    [N, 3], and "r_bar" [N, 4].
+    `inputs` contains "x" and "s" [A, k, 3], "r" [A, k, 4], "alpha" [A, k], "color" [A, k, 3],
+    "mask" [A, k] and the number "tau_alpha". `cotangents` contains "x_bar" and "s_bar" [N, 3],
+    "r_bar" [N, 4], "alpha_bar" [N] and "color_bar" [N, 3].
     """
     raise NotImplementedError
 

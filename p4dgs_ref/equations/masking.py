@@ -10,18 +10,19 @@ import numpy as np
 
 
 def forward(
-    alpha,  # [A, k]  opacities
-    mask,  # [A, k]  bool, False for a child that is masked for good (Q15)
-    tau_alpha,  # []  threshold
     x,  # [A, k, 3]  centres
-    color,  # [A, k, 3]  colours
     s,  # [A, k, 3]  standard deviations
     r,  # [A, k, 4]  quaternions
+    alpha,  # [A, k]  opacities
+    color,  # [A, k, 3]  colours
+    mask,  # [A, k]  bool, False for a child that is masked for good (Q15)
+    tau_alpha,  # []  threshold
 ):
     """Gather the N children that are kept into one flat list of Gaussians.
 
-    Return alpha [N], x [N, 3], color [N, 3], s [N, 3], r [N, 4], index [N] and what `backward`
-    needs. index holds a k + j for child j of anchor a, in ascending order.
+    Return alpha [N], x [N, 3], color [N, 3], s [N, 3], r [N, 4], index [N], in the order of the
+    published vectors, and what `backward` needs. index is a k + j for child j of anchor a, in
+    ascending order.
     """
     index = np.flatnonzero(mask & (alpha >= tau_alpha))
     kept = [a.reshape(alpha.size, a.shape[2]).take(index, axis=0) for a in (x, color, s, r)]
@@ -29,16 +30,17 @@ def forward(
 
 
 def backward(saved, alpha_bar, x_bar, color_bar, s_bar, r_bar):
-    """Gradients of alpha, x, color, s and r: zero for the Gaussians that were dropped.
+    """Return the gradients of x, s, r, alpha and color: zero for the Gaussians that were dropped.
 
-    Whether a Gaussian is kept is a step function of alpha and passes no gradient.
+    Whether a Gaussian is kept is a step function of alpha and passes no gradient. The cotangents
+    come in the order of the outputs, as in every equation.
     """
     return {
-        "alpha": scatter(saved, alpha_bar),
         "x": scatter(saved, x_bar),
-        "color": scatter(saved, color_bar),
         "s": scatter(saved, s_bar),
         "r": scatter(saved, r_bar),
+        "alpha": scatter(saved, alpha_bar),
+        "color": scatter(saved, color_bar),
     }
 
 

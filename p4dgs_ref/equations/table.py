@@ -42,7 +42,7 @@ ROWS = (
         "",
         "keep where mask and alpha >= tau_alpha",
         "alpha x color s r index",
-        "alpha x color s r",
+        "x s r alpha color",
     ),
     (color, "3'", "color = sigmoid(psi_c(f_a, delta_vc, d_vc))", "color", ANCHOR_NETWORK),
     (

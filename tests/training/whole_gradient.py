@@ -60,7 +60,7 @@ def setting(effects=MODEL_EFFECTS, stage=4, seed=0, preset=SMALL, kind=initial):
 
 def evaluate(p, design, inputs, view, u, loss=None):
     networks = {name: p.network(name) for name in design.layers()}
-    return (loss or objective.loss)(p, design, networks, p.listed("grid"), inputs, view, u)
+    return (loss or objective.loss)(p, design, networks, p.arrays_of("grid"), inputs, view, u)
 
 
 def hold(p, *others, monkeypatch, loss):
@@ -86,14 +86,14 @@ def hold(p, *others, monkeypatch, loss):
         patch.setattr(fast, "bin_splats", record_lists)
         _, rendered, _ = evaluate(p, *others, loss)
 
-    def gather(alpha, mask, tau_alpha, *attributes):
-        kept = [a.reshape(-1, a.shape[2])[rendered.index] for a in attributes]
+    def gather(x, s, r, alpha, color, mask, tau_alpha):
+        kept = [a.reshape(-1, a.shape[2])[rendered.index] for a in (x, color, s, r)]
         return (alpha.reshape(-1)[rendered.index], *kept, rendered.index), (
             rendered.index,
             alpha.shape,
         )
 
-    base = p.listed("grid")
+    base = p.arrays_of("grid")
     signs_less_base = [np.where(grid >= 0, 1.0, -1.0) - grid for grid in base]
 
     def query(located, grids):

@@ -69,7 +69,7 @@ lessons.check_backward("03.3", my_mlp_backward, "mlp")
 def my_masking_backward(inputs, cotangents):
     kept = inputs["mask"] & (inputs["alpha"] >= inputs["tau_alpha"])
     gradients = {}
-    for name in ("alpha", "x", "color", "s", "r"):
+    for name in ("x", "s", "r", "alpha", "color"):
         gradients[name] = np.zeros_like(inputs[name])
         gradients[name][kept] = cotangents[name + "_bar"]
     return gradients
@@ -90,7 +90,7 @@ alpha, network = opacity.forward(feature, no_view, no_view, [last], [np.zeros(2)
 assert (alpha[0] > 0.01).all() and (alpha[1] < 0.01).all()
 triples = np.ones((2, 2, 3))
 mask = np.ones((2, 2), bool)
-kept, saved = masking.forward(alpha, mask, 0.01, triples, triples, triples, np.ones((2, 2, 4)))
+kept, saved = masking.forward(triples, triples, np.ones((2, 2, 4)), alpha, triples, mask, 0.01)
 bars = [-np.ones_like(array) for array in kept[:5]]  # the picture wants the visible ones brighter
 gradients = opacity.backward(network, masking.backward(saved, *bars)["alpha"])
 assert gradients["f_a"][0].any() and not gradients["f_a"][1].any()

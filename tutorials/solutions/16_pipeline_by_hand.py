@@ -78,12 +78,12 @@ def run(x_a, f_a, s_a, l_a, O_a, mask, x_c, tau_alpha, effects, **networks):
     unseen = (f_a[:, :0], f_a[:, :0])
     geometry = seen if "view_geometry" in effects else unseen
     for_color = seen if "view_color" in effects else unseen
-    alpha, saved["alpha"] = opacity.forward(f_a, *geometry, *network("psi_alpha"))
-    c, saved["color"] = color.forward(f_a, *for_color, *network("psi_c"))
-    r, saved["r"] = rotation.forward(f_a, *geometry, *network("psi_r"))
-    s, saved["s"] = scale.forward(s_a, f_a, *geometry, *network("psi_s"))
     x, saved["x"] = offsets.forward(x_a, O_a, l_a)
-    kept, saved["kept"] = masking.forward(alpha, mask, tau_alpha, x, c, s, r)
+    s, saved["s"] = scale.forward(s_a, f_a, *geometry, *network("psi_s"))
+    r, saved["r"] = rotation.forward(f_a, *geometry, *network("psi_r"))
+    alpha, saved["alpha"] = opacity.forward(f_a, *geometry, *network("psi_alpha"))
+    colors, saved["color"] = color.forward(f_a, *for_color, *network("psi_c"))
+    kept, saved["kept"] = masking.forward(x, s, r, alpha, colors, mask, tau_alpha)
     names = ("alpha", "x", "color", "s", "r", "index")
     return dict(zip(names, kept)), saved
 

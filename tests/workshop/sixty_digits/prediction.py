@@ -67,7 +67,7 @@ def forward_scale(s_a, f_a, delta_vc, d_vc, weights, biases):
     }
 
 
-def forward_masking(alpha, mask, tau_alpha, x, color, s, r):
+def forward_masking(x, s, r, alpha, color, mask, tau_alpha):
     """The children that are neither masked nor below the threshold, anchor by anchor."""
     A, k = alpha.shape
     kept = [(a, j) for a in range(A) for j in range(k) if mask[a, j] and alpha[a, j] >= tau_alpha]
