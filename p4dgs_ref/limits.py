@@ -1,7 +1,6 @@
 """How much a model and its file may hold, so that a damaged file costs little time and memory.
 
-The codec's format page states them; a port has to keep to them. A message holds at most MAX_MESSAGE
-characters, whatever it quotes.
+The codec's format page states them; a port has to keep to them.
 """
 
 MAX_ANCHORS = 2**22
@@ -11,15 +10,3 @@ MAX_LAYERS, MAX_WIDTH = 8, 2**14  # hidden layers of a network, units of each
 MAX_OF = {"d": 4096, "k": 256, "L_x": 64, "L_t": 64, "F": 64}  # fields of a Design, from 1 on
 MAX_FILE_BYTES = 2**29  # also of a file of points
 MAX_HEADER_BYTES = 2**14  # also of a .ply
-MAX_MESSAGE = 1000
-
-
-def cut(text):
-    """The text without its middle where it is longer than a message may be."""
-    half = MAX_MESSAGE // 2
-    return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
-
-
-def counted(count, what):
-    """The count and what is counted, which gets an s unless it is one."""
-    return f"{count} {what}{'s' * (count != 1)}"

@@ -10,7 +10,7 @@ import shutil
 import sys
 from contextlib import suppress
 
-from ..limits import cut
+from ..messages import shorten
 
 
 class UsageError(ValueError):
@@ -48,7 +48,7 @@ def progress(text=""):
 def print_message(message):
     """Print a message on stderr as one line, whatever it quotes."""
     progress()
-    write_stderr(f"p4dgs-ref: {visible(cut(str(message)))}\n")
+    write_stderr(f"p4dgs-ref: {visible(shorten(str(message)))}\n")
 
 
 def print_warning(warning):

@@ -11,7 +11,7 @@ import numpy as np
 import p4dgs_ref as p4
 
 from ..codec import container
-from ..limits import counted
+from ..messages import number_of
 from ..output import new_file, refuse_existing, staged_folder, writable_folder, write_atomically
 from ..report import figures
 from ..report import inspect as sizes
@@ -137,7 +137,7 @@ def train(arguments):
             figures.write_training(staging, trainer.history, preset.stage_ends)
     print_warning(advice.after(trainer))
     print_result(
-        f"{folder}: {trainer.iteration} iterations, {counted(len(trainer.mask), 'anchor')}"
+        f"{folder}: {trainer.iteration} iterations, {number_of(len(trainer.mask), 'anchor')}"
     )
 
 

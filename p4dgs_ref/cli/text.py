@@ -1,6 +1,6 @@
 """What the commands print for people; --json prints the same values."""
 
-from ..limits import counted
+from ..messages import number_of
 from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, differences
 
 
@@ -28,7 +28,7 @@ def metrics(m, folder):
     """The metrics of the main job in a few lines."""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
-        f"{counted(m['anchors'], 'anchor')}, {counted(m['gaussians'], 'Gaussian')}\n"
+        f"{number_of(m['anchors'], 'anchor')}, {number_of(m['gaussians'], 'Gaussian')}\n"
         f"  decoded file on the test views: {quality(m)}\n"
         f"  and on the training views: PSNR {m['train_psnr_db']:.2f} dB at {m['size']}\n"
         f"  {size(m)}\n"

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import effects as fx
+from ..equations.psnr import psnr
 from ..output import write_atomically
 from ..scenes.load import DESCRIPTION, read_scene_json
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting.camera import Camera
 from ..training.presets import TINY
-from ..training.progress import psnr
 from ..training.trainer import Trainer
 from .clock import alternate, step_at
 from .processes import in_processes

@@ -42,7 +42,7 @@ import time
 
 import numpy as np
 
-from ..limits import cut
+from ..messages import shorten
 from .compare import cast
 from .ports import ROLES, PortError, refuse_not_judged, refuse_other_types
 from .published import subjects
@@ -111,7 +111,7 @@ class Adapter(contextlib.AbstractContextManager):
         request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
         answer = self._ask(request, "codec")
         if answer.get("refused") is not None:
-            return None, cut(str(answer["refused"]))
+            return None, shorten(str(answer["refused"]))
         return unpacked(answer, "arrays"), None
 
     def __exit__(self, *_):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..limits import cut
+from ..messages import shorten
 from . import safetensors
 from .compare import PRECISIONS, cast, differences, precision
 from .published import flatten, meant, stream_rows, subjects
@@ -24,7 +24,7 @@ class PortError(Exception):
     """
 
     def __init__(self, kind, message):
-        super().__init__(" ".join(cut(message).split()))
+        super().__init__(" ".join(shorten(message).split()))
         self.kind = kind
 
 

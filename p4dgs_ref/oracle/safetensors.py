@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..limits import cut
+from ..messages import shorten
 
 MAX_HEADER_BYTES = 2**20  # above it a length is damaged
 DTYPES = {
@@ -116,7 +116,7 @@ def array_of(name, record, data):
 def require(condition, where, expected):
     """Raise a TensorError unless the condition holds."""
     if not condition:
-        raise TensorError(cut(f"{where}: {expected}"))
+        raise TensorError(shorten(f"{where}: {expected}"))
 
 
 def json_object(text) -> Any:

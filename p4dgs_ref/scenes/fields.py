@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..limits import cut
+from ..messages import shorten
 
 MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
 MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
@@ -35,7 +35,7 @@ class SceneError(ValueError):
     """A mistake in a scene: one line that names the file, the field and what was expected."""
 
     def __init__(self, where: object, expected: str):
-        super().__init__(" ".join(cut(f"{where}: {expected}").split()))
+        super().__init__(" ".join(shorten(f"{where}: {expected}").split()))
 
 
 def require(condition, where, expected):

@@ -6,11 +6,11 @@ Each function returns a sentence, or "" where there is nothing to say.
 import numpy as np
 
 from .. import effects as fx
-from ..limits import counted
+from ..equations.psnr import psnr
+from ..messages import number_of
 from ..splatting import render
 from ..splatting.settings import FAST
 from .initial import lattice_nodes, starting_points
-from .progress import psnr
 
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 FAR = 10  # times the radius that holds nine tenths of the points
@@ -33,7 +33,7 @@ def few_views(scene):
     if len(scene.train) >= FEW_VIEWS:
         return ""
     return (
-        f"scene {scene.name}: {counted(len(scene.train), 'training view')}; views that were not "
+        f"scene {scene.name}: {number_of(len(scene.train), 'training view')}; views that were not "
         f"trained on will be poor with fewer than {FEW_VIEWS}; 48 are enough for packaged scenes"
     )
 
@@ -45,7 +45,7 @@ def empty_pictures(scene):
     if not empty:
         return ""
     return (
-        f"scene {scene.name}: {empty} of {counted(len(views), 'picture')} show hardly more than "
+        f"scene {scene.name}: {empty} of {number_of(len(views), 'picture')} show hardly more than "
         "one colour; good figures on these mean nothing"
     )
 
@@ -78,8 +78,9 @@ def odd_points(scene, preset, seed, points):
         return ""
     told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return (
-        f"scene {scene.name}: of {counted(len(points), 'starting point')}, {told or 'all are seen'}"
-        f"; cameras look {away:.3g} from their middle, they reach {reach.max():.3g}; check units"
+        f"scene {scene.name}: of {number_of(len(points), 'starting point')}, "
+        f"{told or 'all are seen'}; cameras look {away:.3g} from their middle, they reach "
+        f"{reach.max():.3g}; check units"
     )
 
 

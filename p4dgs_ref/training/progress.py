@@ -4,17 +4,10 @@ import shutil
 import time
 from contextlib import suppress
 
-import numpy as np
-
-from ..limits import counted
+from ..equations.psnr import psnr
+from ..messages import number_of
 
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
-
-
-def psnr(image, truth):
-    """-10 log10 of the mean squared error of images clipped to [0, 1], in dB; inf if equal."""
-    error = np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2)
-    return float(-10 * np.log10(error)) if error else np.inf
 
 
 class Progress:
@@ -52,8 +45,8 @@ class Progress:
             f"{done:{len(str(total))}d}/{total}  {seconds / self.steps * (total - done):.0f} s left"
             f"  stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at "
             f"{view.camera.width}x{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
-            f"{counted(trainer.count, 'anchor')}  "
-            f"{counted(len(rendered.index), 'Gaussian')}  {1e3 * seconds / self.steps:.1f} ms/step"
+            f"{number_of(trainer.count, 'anchor')}  {number_of(len(rendered.index), 'Gaussian')}  "
+            f"{1e3 * seconds / self.steps:.1f} ms/step"
         )
         self.shown, self.steps = time.monotonic(), 0
         if self.live:
