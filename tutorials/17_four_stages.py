@@ -83,11 +83,12 @@ assert np.isclose(slope, 2 * (f - 1))
 
 # %% [markdown]
 # ## In code
-# `Trainer.fixed()` says which parts are active in an iteration: `noisy` from stage 2, `moving`
-# from stage 3, and `located`, the frozen positions in the hash grid, from stage 4.
-# `Trainer.rate_of(name)` is the learning rate of an array; it is 0 for an array that does not
-# take part. We train the preset `tiny`, reduced to 100 anchors and 530 iterations, on a scene of
-# bouncing balls, and record after each stage which arrays have moved.
+# `Trainer.step_inputs()` returns what an iteration needs beside the parameters. Its field `stage`
+# decides what the loss computes: it adds noise from stage 2 on, deforms the Gaussians from stage 3
+# on, and has a rate in stage 4. Its field `located` holds the frozen positions in the hash grid and
+# is `None` before stage 4. `Trainer.rate_of(name)` is the learning rate of an array; it is 0 for an
+# array that does not take part. We train the preset `tiny`, reduced to 100 anchors and 530
+# iterations, on a scene of bouncing balls, and record after each stage which arrays have moved.
 
 # %%
 from p4dgs_ref.training.parameters import Parameters

@@ -1,4 +1,4 @@
-"""A right port with fewer digits passes or is acceptable; `test_perturbed` has what is wrong."""
+"""A right port with fewer digits passes or is acceptable."""
 
 import json
 

@@ -39,13 +39,6 @@ def texts(figure):
     return drawn
 
 
-def smallest(figure):
-    """The size in pixels of the smallest text of a figure that has been drawn."""
-    shown = [text for text in figure.findobj(Text) if text.get_visible()]
-    sizes = [text.get_fontsize() for text in shown if text.get_text().strip()]
-    return min(sizes) * figure.dpi / 72
-
-
 def overlaps(shown):
     """The pairs of `texts` that cover each other by more than a pixel."""
     return [

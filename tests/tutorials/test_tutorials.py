@@ -1,7 +1,6 @@
 """The tutorials and their solutions run, and every exercise is asked, hinted at and solved."""
 
 import json
-import re
 
 import imageio.v3 as iio
 import numpy as np
@@ -11,7 +10,7 @@ from p4dgs_ref import EQUATIONS, lessons
 from p4dgs_ref.lessons import TUTORIALS
 from tests.sampling import few
 from tests.workshop import answers as solved
-from tutorials.tools import glossary, notebooks, shared, syllabus
+from tutorials.tools import notebooks, shared, syllabus
 from tutorials.tools.shared import FOLDER
 
 RUN = """
@@ -98,56 +97,3 @@ def test_package_is_imported_where_it_is_needed_and_figures_have_cells_of_their_
 def test_paths_need_no_tutorial_outside_them(path):
     after = {tutorial.name[:2]: syllabus.facts(tutorial).after for tutorial in TUTORIALS}
     assert [n for n in path if not set(after[n]) <= set(path[: path.index(n)])] == []
-
-
-# --- letters ----------------------------------------------------------------------------------
-MATH = re.compile(r"\$\$(.+?)\$\$|\$([^$]+)\$", re.S)
-NOT_LETTERS = re.compile(
-    r"\\(?:tag|mathrm)\{[^}]*\}|\\(?:bar|dot|tilde|hat|overline|mathbf|rm)\b"
-    r"|(?<![A-Za-z\\])d(?=[A-Za-z\\])"  # differentials
-)
-LETTER = re.compile(r"(\\mathcal\{\w\}|\\[A-Za-z]+|[A-Za-z])(?:_(\{[^}]*\}|\\[a-z]+|\w))?")
-# What stands before a letter where it is only used: "the same $q$".
-USED = set("a an the this that same its of to in from with for and or by on at as than is".split())
-
-
-def letters(text):
-    """The letters of a formula with their subscripts; bars, hats and running indices left out."""
-    found = LETTER.findall(NOT_LETTERS.sub(" ", text))
-    below = (re.sub(r"[{}\s]", "", name) for _, name in found)
-    names = (re.sub(r"(?<=a)[ij]$|^[\dijnk,+-]*$", "", name) for name in below)
-    return [f"{letter}_{name}".rstrip("_") for (letter, _), name in zip(found, names)]
-
-
-def is_introduced(letter, prose):
-    """Whether a cell says what a letter is: in words beside it, or on the left of an equation."""
-    for formula in MATH.finditer(prose):
-        lefts = re.findall(r"(?:[$,;]|quad)([^$,;=]*)=", formula[0])
-        if any(letter in letters(left) for left in lefts):
-            return True
-        names = letters(formula[0])
-        if letter in names and len(names) == formula[0].count(",") + 1:  # alone, or in a list
-            before = re.findall(r"([A-Za-z]+)\**,?\s$", prose[: formula.start()])
-            after = prose[formula.end() :].lstrip()
-            counted = letter in glossary.AXES and re.match(r"\w+(s|ren)\b", after)
-            if counted or re.match(r"(is|are|for|has|stands|may)\b|, the", after):
-                return True
-            if before and before[0].lower() not in USED:
-                return True
-    return False
-
-
-@pytest.mark.parametrize("path", syllabus.PATHS.values(), ids=syllabus.PATHS)
-def test_paths_introduce_each_letter_of_the_glossary_where_they_first_use_it(path):
-    rows = (glossary.row(*item)[0] for item in glossary.mentions().items())
-    known = {name for row in rows if "log" not in row for name in letters(row)} | {*glossary.AXES}
-    met = set()
-    for tutorial in TUTORIALS:
-        cells = notebooks.cells(source(tutorial)) if tutorial.name[:2] in path else ()
-        for cell in (cell for cell in cells if cell.prose):
-            used = {name for math in MATH.finditer(cell.text) for name in letters(math[0])}
-            assert "u" not in used or "07" in tutorial.name, tutorial  # the noise alone
-            assert "L" not in used or "05" in tutorial.name, tutorial  # frequencies alone
-            for name in sorted((used & known) - met):
-                assert is_introduced(name, cell.text), f"{tutorial.name}, line {cell.line}: {name}"
-            met |= used

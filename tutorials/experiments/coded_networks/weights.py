@@ -140,7 +140,7 @@ def read_head(data, section, layers):
 
 
 def read_steps(data, section, shapes):
-    """The codes of the steps of the networks in a section, in the form of `Model.steps`."""
+    """The codes of the steps of the networks in a section, in the form of `CodedModel.steps`."""
     layers = [layer for network in shapes.values() for layer in network]
     steps, _, _ = read_head(data, section, layers)
     parts = np.split(steps.T, np.cumsum([*map(len, shapes.values())])[:-1], axis=1)

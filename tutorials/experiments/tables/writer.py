@@ -13,8 +13,8 @@ from p4dgs_ref.lab.writer import group_rows
 def means(rows, *keys):
     """The means over scenes and seeds of the rows that agree in the keys; one row for each.
 
-    `name_spread` is half the range of the means of each seed. Fields that are no numbers, or that
-    some row lacks, are left out.
+    A field that ends in `_spread` is half the range of the means of each seed. Fields that are no
+    numbers, or that some row lacks, are left out.
     """
     result = []
     for values, group in group_rows(rows, *keys).items():
