@@ -13,6 +13,7 @@ import warnings
 CHOSEN = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"  # variables that choose the kernels
 BLAS = "Haswell"  # the name of the kernels for AVX2 in OpenBLAS
 OWN = "the processor's own"
+PROMISED = f"{BLAS}, AVX2, 1 thread"  # what `prepare` chooses, and `kernels` reports then
 # The features above AVX2, by the first NumPy version with these names; others make it warn.
 FEATURES = {
     (2, 4): "X86_V4 AVX512_ICL AVX512_SPR",
@@ -95,6 +96,17 @@ def kernels():
     if not same or set(names) != {BLAS}:
         return OWN
     return f"{BLAS}, AVX2, {max(threads)} thread{'s' * (max(threads) > 1)}"
+
+
+def other_kernels():
+    """A warning of kernels that are not the promised ones, though these could be in force."""
+    found = kernels()
+    if found == PROMISED or not (has_avx2() and openblas()):
+        return ""
+    return (
+        f"the kernels are {found}, not {PROMISED}: the same seed gives other bytes on other "
+        "machines; call p4dgs_ref.prepare() before NumPy is imported, without P4DGS_KERNELS=native"
+    )
 
 
 def openblas():

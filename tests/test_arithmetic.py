@@ -14,7 +14,10 @@ import sys
 import numpy as np
 import pytest
 
+import p4dgs_ref as p4
 from p4dgs_ref import arithmetic
+from p4dgs_ref.report import jobs
+from p4dgs_ref.training import advice, fit
 from tests import processes
 from tests.sampling import of_the_day
 from tests.workshop import demo
@@ -114,6 +117,44 @@ def test_kernels_are_chosen_where_the_system_knows_the_instructions(monkeypatch,
 def test_other_kernels_are_never_called_those_of_avx2(monkeypatch, found):
     monkeypatch.setattr(arithmetic, "openblas", lambda: found)
     assert arithmetic.kernels() == arithmetic.OWN
+
+
+@pytest.mark.parametrize(
+    "found, has_avx2, libraries, is_told",
+    [
+        (arithmetic.PROMISED, True, [("Haswell", 1)], False),
+        (arithmetic.OWN, True, [("SkylakeX", 1)], True),
+        ("Haswell, AVX2, 2 threads", True, [("Haswell", 2)], True),
+        (arithmetic.OWN, False, [("Nehalem", 1)], False),
+        (arithmetic.OWN, True, [], False),  # another BLAS
+    ],
+)
+def test_kernels_that_could_be_the_promised_ones_are_told_of(
+    monkeypatch, found, has_avx2, libraries, is_told
+):
+    monkeypatch.setattr(arithmetic, "kernels", lambda: found)
+    monkeypatch.setattr(arithmetic, "has_avx2", lambda: has_avx2)
+    monkeypatch.setattr(arithmetic, "openblas", lambda: libraries)
+    told = arithmetic.other_kernels()
+    assert told.startswith(f"the kernels are {found}, not Haswell") == is_told and "\n" not in told
+
+
+class Begun(Exception):
+    """The training begins."""
+
+
+@pytest.mark.parametrize("function, module", [(p4.train, fit), (p4.main_job, jobs)])
+def test_a_training_with_other_kernels_says_so(monkeypatch, tmp_path, function, module):
+    """In a program that trains without `prepare`."""
+
+    def begin(*_, **options):
+        raise Begun
+
+    monkeypatch.setattr(advice, "other_kernels", lambda: "the kernels are others")
+    monkeypatch.setattr(module, "fit", begin)
+    scene = p4.load_scene("static", downscale=8)
+    with pytest.raises(Begun), pytest.warns(UserWarning, match="^the kernels are others$"):
+        function(scene, "smoke", folder=tmp_path)
 
 
 def test_only_libraries_of_that_name_are_asked(monkeypatch):

@@ -1,4 +1,4 @@
-"""Warnings about a training that cannot learn, before it, and about one that did not, after it.
+"""Warnings before a training that cannot learn or be repeated, and after one that did not learn.
 
 Each function returns a sentence, or "" where there is nothing to say.
 """
@@ -6,6 +6,7 @@ Each function returns a sentence, or "" where there is nothing to say.
 import numpy as np
 
 from .. import effects as fx
+from ..arithmetic import other_kernels
 from ..equations.psnr import psnr
 from ..messages import number_of
 from ..splatting import render
@@ -25,7 +26,7 @@ MIN_SHARE = 0.6
 def before(scene, preset, seed, points=None):
     """The warnings before a training."""
     told = few_views(scene), empty_pictures(scene), odd_points(scene, preset, seed, points)
-    return [*filter(None, told)]
+    return [*filter(None, (*told, other_kernels()))]
 
 
 def few_views(scene):

@@ -59,9 +59,9 @@ def train(
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
     first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of few training
-    views, of blank pictures, of starting points that merge or lie far off, of anchors that stop
-    growing because a file could not hold more, of a model that draws nothing, and of one that draws
-    little of what moves.
+    views, of blank pictures, of starting points that merge or lie far off, of kernels that give
+    other bytes than on other machines, of anchors that stop growing because a file could not hold
+    more, of a model that draws nothing, and of one that draws little of what moves.
     """
     preset = choose(preset, changes)
     for sentence in advice.before(scene, preset, seed, points):
