@@ -86,14 +86,14 @@ assert np.isclose(slope, 2 * (f - 1))
 # `Trainer.step_inputs()` returns what an iteration needs beside the parameters. Its field `stage`
 # decides what the loss computes: it adds noise from stage 2 on, deforms the Gaussians from stage 3
 # on, and has a rate in stage 4. Its field `located` holds the frozen positions in the hash grid and
-# is `None` before stage 4. `Trainer.rate_of(name)` is the learning rate of an array; it is 0 for an
-# array that does not take part. We train the preset `tiny`, reduced to 100 anchors and 530
+# is `None` before stage 4. `Trainer.learning_rate(name)` is the learning rate of an array; it is 0
+# for an array that does not take part. We train the preset `tiny`, reduced to 100 anchors and 530
 # iterations, on a scene of bouncing balls, and record after each stage which arrays have moved.
 
 # %%
+from p4dgs_ref.equations.psnr import psnr
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.progress import psnr
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
 
 scene = load_scene("bouncing")
@@ -124,7 +124,7 @@ for end in ends:
     if trainer.stage == 4:
         trainer.freeze_positions()  # otherwise the first step of stage 4 does it
     stage = trainer.stage
-    rates = {stem: trainer.rate_of(stem) for stem in LEARNING_RATES}
+    rates = {stem: trainer.learning_rate(stem) for stem in LEARNING_RATES}
     before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
     for step in range(end - trainer.iteration):
         losses, rendered, view = trainer.step()
@@ -263,7 +263,7 @@ def losses_at(p, on, noise):
         p,
         trainer.design,
         networks,
-        p.listed("grid"),
+        p.arrays_of("grid"),
         on._replace(settings=SETTINGS["exact"]),
         view,
         noise,

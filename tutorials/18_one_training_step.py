@@ -84,7 +84,7 @@ inputs = trainer.step_inputs()._replace(settings=SETTINGS["exact"])
 truth = view.image.astype(float)
 p = Parameters(trainer.parameters.arrays, np.float64)
 networks = {name: p.network(name) for name in design.layers()}
-grids = p.listed("grid")
+grids = p.arrays_of("grid")
 A = len(p["x_a"])
 u = np.random.default_rng(18).random((A, sum(design.widths))) - 0.5
 
@@ -264,7 +264,7 @@ m_0 = adam.first["f_a"][a, j]
 v_0 = adam.second["f_a"][a, j]
 n = adam.steps["f_a"] + 1
 v = BETA_2 * v_0 + (1 - BETA_2) * gradients["f_a"][a, j] ** 2
-eta_n = trainer.rate_of("f_a") * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n)
+eta_n = trainer.learning_rate("f_a") * np.sqrt(1 - BETA_2**n) / (1 - BETA_1**n)
 move_per_m = -eta_n / (np.sqrt(v) + EPSILON)
 other_pixels = of_picture[a, j] - of_red[a, j]
 parts = {
@@ -277,7 +277,7 @@ parts = {
 origin = p.vector.copy()
 before = p["f_a"][a, j]
 # All arrays of a network, such as psi_c.W0 and psi_c.b0, have the rate of the network.
-adam.step(p, gradients, lambda name: trainer.rate_of(name.split(".")[0]))
+adam.step(p, gradients, lambda name: trainer.learning_rate(name.split(".")[0]))
 move = p["f_a"][a, j] - before
 after = objective.loss(p, design, networks, grids, inputs, view, u)[0].L_total
 p.vector[:] = origin

@@ -58,7 +58,7 @@ def quantise(model):
     """
     check_shapes(model)
     anchors, box = with_children(model.anchors), round_box(model.box)
-    positions, x_a = snap(finite("anchors x_a", anchors.x_a), *box)
+    positions, x_a = snap(check_finite("anchors x_a", anchors.x_a), *box)
     anchors = anchors._replace(x_a=x_a)
     rounded = replace(model, anchors=anchors, networks=round_networks(model), box=box)
     return quantise_attributes(rounded, positions)
@@ -67,7 +67,7 @@ def quantise(model):
 def quantise_attributes(model, positions):
     """The same for a model whose positions and networks are already what its file will hold."""
     grids = [
-        np.where(finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
+        np.where(check_finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
     ]
     model = replace(model, grids=grids, background=np.array(model.background, float))
@@ -83,7 +83,8 @@ def quantise_attributes(model, positions):
 def with_children(anchors):
     """The anchors that have a child, or the first one where none has."""
     alive = anchors.mask.any(axis=1)
-    alive[0] |= not alive.any()
+    if not alive.any():
+        alive[0] = True
     return Anchors(*(array[alive] for array in anchors))
 
 
@@ -133,14 +134,14 @@ def round_attributes(values, q, design):
     for i, part in enumerate(groups(values, design)):
         name = f"anchors {GROUPS[i]}_a"
         try:
-            outputs, _ = rounding.forward(finite(name, part), q[:, i : i + 1])
+            outputs, _ = rounding.forward(check_finite(name, part), q[:, i : i + 1])
         except OverflowError as error:
             raise OverflowError(f"{name}, kept children: {error}") from None
         columns.append(outputs[0])
     return np.concatenate(columns, axis=1)
 
 
-def finite(name, array):
+def check_finite(name, array):
     """The array, if all its numbers are finite."""
     require_encodable(np.isfinite(array).all(), f"{name}: expected finite numbers")
     return array

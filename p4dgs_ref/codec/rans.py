@@ -235,7 +235,7 @@ def read_head(data, at, count, section):
     """The number of lanes, symbols in the rows, the state of lane 0, and where the stack begins."""
     first = data[at] if len(data) > at else 0
     lanes, size = 1 << (first & 15), 8 if first & 0x80 else 4
-    start = at + 1 + 4 * (lanes > 1) + size
+    start = at + (5 if lanes > 1 else 1) + size
     require(len(data) >= start, section, len(data), "the data end before the first symbol")
     require(
         not first & 0x70 and lanes <= MAX_LANES,

@@ -26,11 +26,11 @@ def forward(
     """
     E_x, saved_encoding = positional_encoding.forward(x, L_x)
     E_t, _ = positional_encoding.forward(np.full((1, 1), t, dtype=x.dtype), L_t)
-    first, *others = *weights[:-3], np.concatenate(weights[-3:], axis=1)
-    first_bias, *other_biases = *biases[:-3], np.concatenate(biases[-3:])
-    from_x, from_t = np.split(first, [E_x.shape[1]])
-    bias_at_t = first_bias + (E_t @ from_t)[0]
-    y, saved_mlp = mlp.forward(E_x, [from_x, *others], [bias_at_t, *other_biases])
+    layers = [*weights[:-3], np.concatenate(weights[-3:], axis=1)]
+    layer_biases = [*biases[:-3], np.concatenate(biases[-3:])]
+    layers[0], from_t = np.split(layers[0], [E_x.shape[1]])
+    layer_biases[0] = layer_biases[0] + (E_t @ from_t)[0]
+    y, saved_mlp = mlp.forward(E_x, layers, layer_biases)
     cuts = np.cumsum([W.shape[1] for W in weights[-3:-1]])  # where one head's columns end
     return tuple(np.split(y, cuts, axis=1)), (saved_encoding, E_t, saved_mlp, cuts)
 

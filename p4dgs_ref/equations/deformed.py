@@ -23,7 +23,7 @@ def forward(
 
     s_t may be zero or negative: the covariance depends on its square only.
     """
-    x_t, s_t, r_t = moved(x, delta_x), moved(s, delta_s), moved(r, delta_r)
+    x_t, s_t, r_t = add_delta(x, delta_x), add_delta(s, delta_s), add_delta(r, delta_r)
     norm = None
     if delta_r.shape[1]:
         r_t, norm = normalise(r_t)
@@ -31,7 +31,7 @@ def forward(
     return (x_t, s_t, r_t), (r_t, norm, widths)
 
 
-def moved(attribute, delta):
+def add_delta(attribute, delta):
     """attribute + delta, or the attribute itself where delta has no columns."""
     return attribute + delta if delta.shape[1] else attribute
 

@@ -53,7 +53,7 @@ def forward(
     inputs = [a.reshape(-1) for a in (f_noisy, mu, sigma, q)]
     for start in range(0, f_noisy.size, PIECE):
         piece = slice(start, start + PIECE)
-        results[:, piece] = rate(*(a[piece] for a in inputs))
+        results[:, piece] = bits_and_slopes(*(a[piece] for a in inputs))
     bits, *slopes = results.reshape(4, *f_noisy.shape)
     return bits, tuple(slopes)
 
@@ -70,7 +70,7 @@ def backward(saved, bits_bar):
     }
 
 
-def rate(f_noisy, mu, sigma, q):
+def bits_and_slopes(f_noisy, mu, sigma, q):
     """Bits of vectors [n] and their slopes by f_noisy, sigma and q, in float64."""
     f_noisy, mu, sigma, q = (a.astype(np.float64, copy=False) for a in (f_noisy, mu, sigma, q))
     offset = f_noisy - mu

@@ -20,7 +20,7 @@ from ..splatting import fast, render
 from ..splatting.settings import FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
-from ..training.watch import equation_codes, watching
+from ..training.watch import equation_codes, watch_calls
 from .writer import text_table, twice_standard_error
 
 SEEDS = 3
@@ -74,7 +74,7 @@ def costs(model, frames):
             # For every splat in a pixel of its tile: its weight, and what it leaves of the light.
             work["occlusion"] += 2 * frame.f_locals["A"].size
 
-    with watching(codes, see):
+    with watch_calls(codes, see):
         for camera, time in frames:
             *looks, index = model.gaussians(time, camera)
             work += network_work(model.design, model.count, len(index))

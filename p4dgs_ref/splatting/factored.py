@@ -14,7 +14,14 @@ Every term of the determinant is positive. K m is what the gradient needs instea
 import numpy as np
 
 from .covariance import rotation_backward, rotation_matrix
-from .projection import covariance2d, cross, halved, splats, view, view_backward
+from .projection import (
+    covariance2d,
+    cross,
+    matrix_gradient,
+    project_centers,
+    project_centers_backward,
+    splats,
+)
 
 
 def forward(
@@ -34,7 +41,9 @@ def forward(
 
     The conic of a needle is accurate to a few eps.
     """
-    (mean2d, depth, JW, in_front), saved_view = view(x, W, T, focal, center, size, near, tan_clamp)
+    (mean2d, depth, JW, in_front), saved_centers = project_centers(
+        x, W, T, focal, center, size, near, tan_clamp
+    )
     R = rotation_matrix(r)
     m, S = JW @ R, s**2
     a, b, c = covariance2d(m, m * S[:, None], blur)
@@ -45,25 +54,25 @@ def forward(
     outputs, K = splats(mean2d, (a, b, c), det, depth, in_front, x.dtype)
     *_, visible = outputs
     m, det = np.where(visible[:, None, None], m, 0), np.where(visible, det, 1)
-    return outputs, (saved_view, JW, m, s, r, R, det, blur, K, visible)
+    return outputs, (saved_centers, JW, m, s, r, R, det, blur, K, visible)
 
 
 def backward(saved, mean2d_bar, conic_bar, depth_bar=None):
     """Gradients of x, s and r; zero for culled rows."""
-    saved_view, JW, m, s, r, R, det, blur, K, visible = saved
+    saved_centers, JW, m, s, r, R, det, blur, K, visible = saved
     s = np.where(visible[:, None], s, 0)
     S = s[:, None] ** 2
     n, mS = cross(m[:, 0], m[:, 1]), m * S
     Km = np.stack([cross(mS[:, 1], n), cross(n, mS[:, 0])], axis=1) + blur * m
     Km /= det[:, None, None]
     # In `projection` Sigma gets -m^T K K_bar K m, and m gets -K K_bar K m times twice Sigma.
-    K_bar_Km = halved(conic_bar, visible) @ Km
+    K_bar_Km = matrix_gradient(conic_bar, visible) @ Km
     S_bar = -np.einsum("nii->ni", Km.transpose(0, 2, 1) @ K_bar_Km)
     m_bar = -(K @ K_bar_Km) * (2 * S)
     R_bar = JW.transpose(0, 2, 1) @ m_bar
     JW_bar = np.where(visible[:, None, None], m_bar @ R.transpose(0, 2, 1), 0)
     return {
-        "x": view_backward(saved_view, JW_bar, mean2d_bar, depth_bar, visible),
+        "x": project_centers_backward(saved_centers, JW_bar, mean2d_bar, depth_bar, visible),
         "s": 2 * s * S_bar,
         "r": rotation_backward(r, R_bar),
     }

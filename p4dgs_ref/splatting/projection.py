@@ -32,7 +32,9 @@ def forward(
     coordinates are not finite, and where the determinant of cov2d is not positive or not finite.
     The conic of a splat that is L pixels long is accurate to eps L**2 / blur.
     """
-    (mean2d, depth, JW, in_front), saved_view = view(x, W, T, focal, center, size, near, tan_clamp)
+    (mean2d, depth, JW, in_front), saved_centers = project_centers(
+        x, W, T, focal, center, size, near, tan_clamp
+    )
     Sigma = Sigma.astype(JW.dtype, copy=False)
     a, b, c = covariance2d(JW, JW @ Sigma, blur)
     with np.errstate(over="ignore", invalid="ignore"):  # splats beyond every image, culled below
@@ -40,7 +42,7 @@ def forward(
     outputs, K = splats(mean2d, (a, b, c), det, depth, in_front, x.dtype)
     *_, visible = outputs
     m, Sigma = (np.where(visible[:, None, None], a, 0) for a in (JW, Sigma))
-    return outputs, (saved_view, m, Sigma, K, visible, x.dtype)
+    return outputs, (saved_centers, m, Sigma, K, visible, x.dtype)
 
 
 def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=None):
@@ -48,23 +50,23 @@ def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=N
 
     The gradient of the clamp is 1 inside and on its ends and 0 outside.
     """
-    saved_view, m, Sigma, K, visible, dtype = saved
+    saved_centers, m, Sigma, K, visible, dtype = saved
     cov_bar = np.zeros_like(K)  # gradient of the symmetric matrix [[a, b], [b, c]]
     if conic_bar is not None:
         # In the forward (a, b, c) becomes the conic K = cov^-1, so d(K) = -K d(cov) K.
-        cov_bar -= K @ halved(conic_bar, visible) @ K
+        cov_bar -= K @ matrix_gradient(conic_bar, visible) @ K
     if cov2d_bar is not None:
-        cov_bar += halved(cov2d_bar, visible)
+        cov_bar += matrix_gradient(cov2d_bar, visible)
     cov_bar[:, 1, 0] = cov_bar[:, 0, 1]  # exactly symmetric, also in the last bits
     # In the forward cov = m Sigma m^T, so Sigma gets m^T cov_bar m and m, which stands there
     # twice, gets cov_bar m (Sigma + Sigma^T).
     Sigma_bar = m.transpose(0, 2, 1) @ cov_bar @ m
     m_bar = cov_bar @ m @ (Sigma + Sigma.transpose(0, 2, 1))
-    x_bar = view_backward(saved_view, m_bar, mean2d_bar, depth_bar, visible)
+    x_bar = project_centers_backward(saved_centers, m_bar, mean2d_bar, depth_bar, visible)
     return {"x": x_bar.astype(dtype, copy=False), "Sigma": Sigma_bar.astype(dtype, copy=False)}
 
 
-def view(x, W, T, focal, center, size, near, tan_clamp):
+def project_centers(x, W, T, focal, center, size, near, tan_clamp):
     """Return mean2d [N, 2], depth [N, 1], J W [N, 2, 3], in_front [N] and what `backward` needs."""
     inner = np.result_type(x, np.float64)
     W, T, focal, center = (np.asarray(a, inner) for a in (W, T, focal, center))
@@ -79,7 +81,7 @@ def view(x, W, T, focal, center, size, near, tan_clamp):
     return (ratio * focal + center, z, JW, in_front), (x_c, inside, JW, W, focal)
 
 
-def view_backward(saved, JW_bar, mean2d_bar, depth_bar, visible):
+def project_centers_backward(saved, JW_bar, mean2d_bar, depth_bar, visible):
     """Gradient of x."""
     x_c, inside, JW, W, focal = saved
     z = x_c[:, 2:]
@@ -115,7 +117,7 @@ def splats(mean2d, cov2d, det, depth, in_front, dtype):
     return (*floats, visible), symmetric(*conic.T)
 
 
-def halved(bar, visible):
+def matrix_gradient(bar, visible):
     """The gradients [N, 2, 2] of symmetric matrices from those of (a, b, c); zero if culled."""
     a_bar, b_bar, c_bar = np.where(visible[:, None], bar, 0).T
     return symmetric(a_bar, b_bar / 2, c_bar)

@@ -38,14 +38,14 @@ class Equation(NamedTuple):
         """The module's `backward`."""
         return self.module.backward
 
-    def named(self, output: Any) -> dict[str, Any]:
+    def by_name(self, output: Any) -> dict[str, Any]:
         """The output of `forward` as {name: array}."""
         arrays = output if isinstance(output, tuple) else (output,)
         return dict(zip(self.outputs, arrays, strict=True))
 
     def __call__(self, **inputs) -> dict[str, Any]:
         """Return {output name: array}."""
-        return self.named(self.forward(**inputs)[0])
+        return self.by_name(self.forward(**inputs)[0])
 
     def vjp(self, **inputs) -> tuple[dict[str, Any], Callable]:
         """Return the outputs and their pullback.
@@ -53,7 +53,7 @@ class Equation(NamedTuple):
         `pullback(x_bar=...)` returns {input name: gradient}. Cotangents that are left out are zero.
         """
         output, saved = self.forward(**inputs)
-        outputs = self.named(output)
+        outputs = self.by_name(output)
 
         def pullback(**cotangents):
             for name, parameter in signature(self.backward).parameters.items():

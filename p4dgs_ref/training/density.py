@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..equations import offsets
+
 ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
 MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (Q29)
 
@@ -40,7 +42,7 @@ class Statistics:
 
         This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
         """
-        children, anchors = often_seen(self, preset), often_visited(self, preset)
+        children, anchors = judged_children(self, preset), judged_anchors(self, preset)
         self.gradient[children] = self.seen[children] = 0
         self.opacity[anchors] = self.visits[anchors] = 0
 
@@ -55,8 +57,8 @@ class Statistics:
 
 
 def centers(p):
-    """The centres [A, k, 3] of all children, Eq. (1)."""
-    return p["x_a"][:, None] + p["O_a"] * np.exp(p["log_l"])[:, None]
+    """Return the centres [A, k, 3] of all children, Eq. (1)."""
+    return offsets.forward(p["x_a"], p["O_a"], np.exp(p["log_l"]))[0]
 
 
 def grow(p, statistics, preset, rng):
@@ -75,7 +77,7 @@ def grow(p, statistics, preset, rng):
     x_a, f_a, log_size = p["x_a"][:0], p["f_a"][:0], np.zeros((0, 3))
     for level in range(preset.grow_depth):
         threshold = preset.gradient_threshold * (preset.grow_hierarchy // 2) ** level
-        wanted = often_seen(statistics, preset).ravel() & (gradient >= threshold)
+        wanted = judged_children(statistics, preset).ravel() & (gradient >= threshold)
         wanted &= rng.random(len(x)) > 0.5 ** (level + 1)
         if level and not len(x_a):
             continue
@@ -99,12 +101,12 @@ def grow(p, statistics, preset, rng):
     }
 
 
-def often_seen(statistics, preset):
+def judged_children(statistics, preset):
     """The children [A, k] that were rendered often enough for a decision."""
     return statistics.seen > preset.grow_every * preset.success * 0.5
 
 
-def often_visited(statistics, preset):
+def judged_anchors(statistics, preset):
     """The anchors [A] that enough views of the window have visited for a decision."""
     return statistics.visits > preset.grow_every * preset.success
 
@@ -112,13 +114,13 @@ def often_visited(statistics, preset):
 def dead_anchors(statistics, mask, preset):
     """The anchors [A] whose kept children together stayed below min_opacity per view."""
     total = (statistics.opacity * mask).sum(axis=1)
-    return often_visited(statistics, preset) & (total < preset.min_opacity * statistics.visits)
+    return judged_anchors(statistics, preset) & (total < preset.min_opacity * statistics.visits)
 
 
 def faint_children(statistics, preset):
     """The children [A, k] whose mean positive opacity stayed below min_opacity (Q15)."""
     least = preset.min_opacity * statistics.visits[:, None]
-    return often_visited(statistics, preset)[:, None] & (statistics.opacity < least)
+    return judged_anchors(statistics, preset)[:, None] & (statistics.opacity < least)
 
 
 def reseed(p, first, second, dead, statistics, rng):

@@ -22,7 +22,7 @@ from . import advice
 from .parameters import Parameters
 from .presets import FIELDS, Preset, choose
 from .progress import Progress
-from .trainer import Trainer, assemble, tagged
+from .trainer import Trainer, assemble, with_prefix
 
 SAVE_EVERY = 20.0  # seconds between checkpoints
 CHECKPOINT = "checkpoint.npz"
@@ -198,7 +198,7 @@ def load_model(folder):
     """The model in the checkpoint of a run folder, and the values of the checkpoint."""
     arrays, values = load_checkpoint(folder)
     model = assemble(
-        Parameters(tagged(arrays, "p/")),
+        Parameters(with_prefix(arrays, "p/")),
         Design(**values["design"]),
         arrays["mask"],
         tuple(arrays["box"]),

@@ -124,13 +124,13 @@ def loss(p, design, networks, grids, inputs, view, u):
             anchors_bar["f_a"], anchors_bar["s_a"], anchors_bar["l_a"], anchors_bar["O_a"]
         )  # [A, n]
         if stage == 4:
-            rated_bar, mu_bar, sigma_bar, q_bar, counted = back_rate(losses_bar["L_rate"])
+            coded_bar, mu_bar, sigma_bar, q_bar, hash_bars = back_rate(losses_bar["L_rate"])
             # one noisy value is rendered and coded (Q23)
-            values_bar, noise_q_bar = back_noise(noisy_bar + rated_bar)
-            read, context_bar = back_context(noise_q_bar + q_bar, mu_bar, sigma_bar)
+            values_bar, noise_q_bar = back_noise(noisy_bar + coded_bar)
+            grid_bars, context_bar = back_context(noise_q_bar + q_bar, mu_bar, sigma_bar)
             networks_bar |= context_bar
-            for i, (read_bar, counted_bar) in enumerate(zip(read, counted)):
-                gradients[f"grid.{i}"][...] = read_bar + counted_bar
+            for i, (grid_bar, hash_bar) in enumerate(zip(grid_bars, hash_bars)):
+                gradients[f"grid.{i}"][...] = grid_bar + hash_bar
         else:
             values_bar = back_noise(noisy_bar)[0] if stage > 1 else noisy_bar
         _, s_a, l_a, _ = groups(values, design)
@@ -153,8 +153,11 @@ def add_noise(values, u, steps, design):
 
     back(noisy_bar) returns the gradients of the values [A, n] and of the steps [A, 4].
     """
-    columns = zip(groups(values, design), groups(u, design), np.split(steps, 4, axis=1))
-    noisy, backs = zip(*(with_backward(noise, f, u_f, q_f) for f, u_f, q_f in columns))
+    noisy, backs = [], []
+    for i, (f, u_f) in enumerate(zip(groups(values, design), groups(u, design))):
+        f_noisy, back_f = with_backward(noise, f, u_f, steps[:, i : i + 1])
+        noisy.append(f_noisy)
+        backs.append(back_f)
 
     def back(noisy_bar):
         bars = [back_f(bar) for back_f, bar in zip(backs, groups(noisy_bar, design))]

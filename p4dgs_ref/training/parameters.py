@@ -30,13 +30,13 @@ class Parameters:
         zeros.vector[...] = 0
         return zeros
 
-    def listed(self, prefix):
+    def arrays_of(self, prefix):
         """The arrays whose names begin with the prefix, in their order."""
         return [array for name, array in self.arrays.items() if name.startswith(prefix)]
 
     def network(self, name):
         """The weights and the biases of a network, layer by layer."""
-        return self.listed(f"{name}.W"), self.listed(f"{name}.b")
+        return self.arrays_of(f"{name}.W"), self.arrays_of(f"{name}.b")
 
     def fill(self, name, gradients):
         """Copy the "weights" and "biases" among the gradients of a network into place."""
@@ -79,25 +79,26 @@ class Adam:
         self.first, self.second = parameters.zeros(), parameters.zeros()
         self.steps = dict.fromkeys(parameters.arrays, 0)
 
-    def step(self, parameters, gradients, rate_of):
+    def step(self, parameters, gradients, learning_rate):
         """Move `parameters` in place.
 
-        `rate_of(name)` is the learning rate of an array, 0 for one that does not take part.
+        `learning_rate(name)` is the learning rate of an array, 0 for one that does not take part.
         """
-        rates = {}
+        lengths = {}
         for name in self.steps:
-            rate = rate_of(name)
-            self.steps[name] += rate > 0
+            size = learning_rate(name)
+            self.steps[name] += size > 0
             n = self.steps[name]
             # Both moments start at zero; dividing by the sum of their weights corrects for that.
-            rates[name] = rate * sqrt(1 - BETA_2**n) / (1 - BETA_1**n) if rate else 0.0
+            corrected = size * sqrt(1 - BETA_2**n)
+            lengths[name] = corrected / (1 - BETA_1**n) if size else 0.0
         m, v, g = self.first.vector, self.second.vector, gradients.vector
         m += (1 - BETA_1) * (g - m)
         v += (1 - BETA_2) * (g * g - v)
-        parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(rates.get)
+        parameters.vector -= m / (np.sqrt(v) + EPSILON) * parameters.per_element(lengths.get)
 
 
-def exponential(step, first, last, until, start=0):
+def learning_rate_at(step, first, last, until, start=0):
     """The learning rate at `step`: geometric between `first` at `start` and `last` at `until`.
 
     This is the schedule of Kerbl et al. 2023 without its warm-up, which no successor uses.

@@ -208,7 +208,7 @@ PRESETS = {preset.name: preset for preset in (PAPER_SYNTHETIC, PAPER_REAL, TINY,
 MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become a float
 
 
-def between(least, most):
+def number_from(least, most):
     """The requirement that a number is from `least` to `most`."""
     return f"a number from {least:g} to {most:g}", lambda value: least <= value <= most
 
@@ -224,16 +224,16 @@ def widths(most):
 # What a field must be, in words and as a test; a field that is not listed must be a number that is
 # not negative. With larger rates, lengths and first parameters, or with smaller steps Q, a training
 # ends with weights beyond float16 or |f / q| beyond 2^31, which no file holds.
-REQUIREMENTS = {name: between(1, most) for name, most in MAX_OF.items()} | by_field(
+REQUIREMENTS = {name: number_from(1, most) for name, most in MAX_OF.items()} | by_field(
     {
-        "anchors grow_every grow_init grow_hierarchy": between(1, MAX_VALUE),
-        "extent voxel": between(1e-9, 1e4),
-        "feature_std opacity_bias deformation_gain": between(0, 1e3),
+        "anchors grow_every grow_init grow_hierarchy": number_from(1, MAX_VALUE),
+        "extent voxel": number_from(1e-9, 1e4),
+        "feature_std opacity_bias deformation_gain": number_from(0, 1e3),
         "hidden deformation context": widths(MAX_LAYERS),
         "grid_3d grid_2d": widths(16),
-        "table_3d table_2d": between(1, MAX_ENTRIES),
-        "tau_alpha lambda_ssim": between(0, 1),
-        "Q_f Q_s Q_l Q_O": between(1e-5, 1e5),
+        "table_3d table_2d": number_from(1, MAX_ENTRIES),
+        "tau_alpha lambda_ssim": number_from(0, 1),
+        "Q_f Q_s Q_l Q_O": number_from(1e-5, 1e5),
         "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q": (
             "first,last, two positive rates up to 1 or 0,0",
             lambda ends: (
@@ -247,7 +247,7 @@ REQUIREMENTS = {name: between(1, most) for name, most in MAX_OF.items()} | by_fi
             ),
         ),
         "grow": ("scaffold, reseed or off", lambda value: value in ("scaffold", "reseed", "off")),
-        "grow_depth": between(0, 16),
+        "grow_depth": number_from(0, 16),
     }
 )
 
@@ -288,7 +288,7 @@ def choose(preset, changes=None):
     changed = replace(preset, **values)
     for name in FIELDS:
         value = getattr(changed, name)
-        expected, is_met = REQUIREMENTS.get(name, between(0, MAX_VALUE))
+        expected, is_met = REQUIREMENTS.get(name, number_from(0, MAX_VALUE))
         if not is_met(value):
             raise ValueError(f"field {name!r}: expected {expected}, got {value!r}")
     if not changed.grid_3d + changed.grid_2d:

@@ -1,7 +1,7 @@
 """The training of one scene: `Trainer.step` is one iteration of the loop.
 
-A random view, its loss and gradients, a check for NaN, a step of Adam, and density control. What is
-trained when, the four stages of the paper, follows from `rate_of` and from `objective.loss`.
+A random view, its loss and gradients, a check for NaN, a step of Adam, and density control.
+`Trainer.learning_rate` and `objective.loss` say what is trained in which stage of the paper.
 """
 
 import warnings
@@ -14,7 +14,7 @@ from ..scenes.fields import require
 from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
-from .parameters import Adam, Parameters, exponential
+from .parameters import Adam, Parameters, learning_rate_at
 from .watch import NotFinite, first_bad, first_not_finite
 
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
@@ -49,13 +49,13 @@ def assemble(p, design, mask, box, background):
         design,
         Anchors(p["x_a"], *attributes, mask.copy()),
         networks,
-        grids=p.listed("grid"),
+        grids=p.arrays_of("grid"),
         box=box or bounding_box(p["x_a"]),
         background=np.asarray(background, float),
     )
 
 
-def tagged(named, tag):
+def with_prefix(named, tag):
     """Copies of the arrays whose names begin with the tag, by the rest of their names."""
     return {
         name.removeprefix(tag): value.copy()
@@ -89,7 +89,7 @@ class Trainer:
         """Take over parameters and find the networks and grids in them."""
         self.parameters = parameters
         self.networks = {name: parameters.network(name) for name in self.design.layers()}
-        self.grids = parameters.listed("grid")
+        self.grids = parameters.arrays_of("grid")
 
     @property
     def count(self):
@@ -115,7 +115,7 @@ class Trainer:
         """
         view, p = self.next_view(), self.parameters
         losses, rendered, gradients, mean2d_bar = self.gradients_of(view)
-        self.adam.step(p, gradients, lambda name: self.rate_of(name.split(".")[0]))
+        self.adam.step(p, gradients, lambda name: self.learning_rate(name.split(".")[0]))
         if not np.isfinite(p.vector).all():
             bad = first_bad(p.arrays)
             raise NotFinite(f"iteration {self.iteration}: after Adam's step, parameter {bad}")
@@ -132,11 +132,11 @@ class Trainer:
             self.order = self.rng.permutation(len(self.scene.train)).tolist()
         return self.scene.train[self.order.pop()]
 
-    def rate_of(self, name):
+    def learning_rate(self, name):
         """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
         if self.stage < FIRST_STAGE.get(name, 1) or name == "x_a" and self.stage == 4:
             return 0.0
-        return exponential(
+        return learning_rate_at(
             self.iteration,
             *getattr(self.preset, LEARNING_RATES[name]),
             self.preset.iterations,
@@ -226,7 +226,8 @@ class Trainer:
         """
         added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
-        keep[0] |= not (keep.any() or count)
+        if not keep.any() and not count:
+            keep[0] = True
         zeros = {name: np.zeros_like(rows) for name, rows in added.items()}
         self.adopt(self.parameters.with_rows(density.ROWS, keep, added))
         self.adam.first, self.adam.second = (
@@ -262,12 +263,12 @@ class Trainer:
 
     def restore(self, arrays, values):
         """Take over copies of what `state` returned."""
-        self.adopt(Parameters(tagged(arrays, "p/")))
+        self.adopt(Parameters(with_prefix(arrays, "p/")))
         self.adam.first, self.adam.second = (
-            Parameters(tagged(arrays, tag)) for tag in ("m/", "v/")
+            Parameters(with_prefix(arrays, tag)) for tag in ("m/", "v/")
         )
         self.adam.steps = {**values["steps"]}
-        self.statistics = density.Statistics(**tagged(arrays, "stat/"))
+        self.statistics = density.Statistics(**with_prefix(arrays, "stat/"))
         self.order, self.iteration = [*values["order"]], values["iteration"]
         self.rng.bit_generator.state, self.history = values["rng"], [*values["history"]]
         self.mask, self.box = arrays["mask"].copy(), tuple(arrays["box"])

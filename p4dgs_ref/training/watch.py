@@ -28,7 +28,7 @@ def equation_codes():
 
 
 @contextmanager
-def watching(codes, see):
+def watch_calls(codes, see):
     """A `with` block in which see(event, mark, frame, value) is told of calls in this thread.
 
     `codes` is {code object: mark}. The event "call" comes before the first line of a function, with
@@ -82,12 +82,12 @@ def first_not_finite(inputs):
         if value is None:  # the call raised, such as an interrupt
             return
         if name == "forward":
-            value = EQUATIONS[key.split(",")[0]].named(value[0])
+            value = EQUATIONS[key.split(",")[0]].by_name(value[0])
         else:
             name = "backward, gradient of"
         phrases.append(first_bad(value, f"{where}, {name}: "))
 
-    with watching(equation_codes(), see):
+    with watch_calls(equation_codes(), see):
         losses, _, back = objective.loss(*inputs)
         gradients, _ = back()
     phrases += [

@@ -12,7 +12,7 @@ from tests.workshop import shape_comments
 def run(eq, inputs):
     """The outputs {name: array} and what `backward` needs."""
     output, saved = eq.forward(**inputs)
-    return eq.named(output), saved
+    return eq.by_name(output), saved
 
 
 def closed_forms(eq, case):

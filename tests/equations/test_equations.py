@@ -30,7 +30,7 @@ def differentiable(eq, case):
     if not hasattr(cases, "surrogate"):
         return eq
     smooth = cases.surrogate(**case.inputs)
-    return lambda **inputs: eq.named(smooth(**inputs))
+    return lambda **inputs: eq.by_name(smooth(**inputs))
 
 
 def check_adjoint(eq, case):

@@ -6,7 +6,7 @@ import pytest
 from p4dgs_ref.lab import clock
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import SMOKE
-from p4dgs_ref.training.watch import equation_codes, watching
+from p4dgs_ref.training.watch import equation_codes, watch_calls
 
 
 class BusyMachine:
@@ -87,7 +87,7 @@ def test_quartiles_that_overlap_tell_nothing():
 def test_a_timed_step_is_the_second_of_its_stage():
     scene, codes = load_scene("static", downscale=8), equation_codes()
     step, seen = clock.step_at(scene, SMOKE, 4), []
-    with watching(codes, lambda event, mark, frame, value: seen.append(mark[0])):
+    with watch_calls(codes, lambda event, mark, frame, value: seen.append(mark[0])):
         step()
         once = len(seen)
         step()

@@ -12,7 +12,7 @@ from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.scenes.load import packaged_folder
 from p4dgs_ref.training.presets import SMOKE
 from p4dgs_ref.training.trainer import Trainer
-from p4dgs_ref.training.watch import equation_codes, watching
+from p4dgs_ref.training.watch import equation_codes, watch_calls
 
 # One packaged scene for each list of effects; orbit lists those of bouncing, orientation static's.
 SCENES = ("bouncing", "figure", "glossy", "static")
@@ -42,7 +42,7 @@ def trained(name, effect, on):
     trainer = Trainer(replace(scene, effects=listed(scene.effects, effect, on)), SHORT)
     while trainer.iteration < SHORT.iterations:
         calls = Counter()
-        with watching(
+        with watch_calls(
             equation_codes(), lambda event, mark, *_: calls.update([mark] * (event == "call"))
         ):
             trainer.step()

@@ -98,7 +98,7 @@ def test_pruning_and_masking_by_opacity(scene):
     )
     statistics.seen[0, :2] = 400, 401  # more than half of 0.8 of the window
     wide = replace(TINY, grow_every=1000)
-    assert density.often_seen(statistics, wide)[0, :2].tolist() == [False, True]
+    assert density.judged_children(statistics, wide)[0, :2].tolist() == [False, True]
 
 
 def test_scaffold_clears_only_what_it_has_judged(scene):

@@ -38,10 +38,10 @@ def halved(*arguments):
 
 WRONG = [
     (parameters, "BETA_1", 0.8),
-    (trainer, "exponential", lambda _, first, *others: first),
+    (trainer, "learning_rate_at", lambda _, first, *others: first),
     (trainer, "FIRST_STAGE", {}),
     (density, "MAX_LOG_SCALE", -2.0),
-    (density, "often_seen", lambda statistics, _: statistics.seen >= 0),
+    (density, "judged_children", lambda statistics, _: statistics.seen >= 0),
     (model, "LATTICE", 2**15 - 1),
     (objective, "render", SimpleNamespace(forward=render.forward, backward=halved)),
 ]

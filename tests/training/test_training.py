@@ -18,7 +18,7 @@ from p4dgs_ref.scenes import SceneError, load_scene
 from p4dgs_ref.splatting import tiles
 from p4dgs_ref.training import advice, objective, progress
 from p4dgs_ref.training.initial import design_of, initial_parameters, neighbour_distance
-from p4dgs_ref.training.parameters import Parameters, exponential
+from p4dgs_ref.training.parameters import Parameters, learning_rate_at
 from p4dgs_ref.training.presets import (
     MAX_VALUE,
     MAX_WIDTH,
@@ -29,7 +29,7 @@ from p4dgs_ref.training.presets import (
     choose,
 )
 from p4dgs_ref.training.trainer import Trainer
-from p4dgs_ref.training.watch import NotFinite, equation_codes, watching
+from p4dgs_ref.training.watch import NotFinite, equation_codes, watch_calls
 from tests import processes
 
 SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
@@ -182,14 +182,14 @@ def test_a_line_and_a_row_have_the_numbers_of_the_step(monkeypatch):
 # --- optimiser ---
 def test_learning_rate_is_geometric():
     def rate(step):
-        return exponential(step, 0.01, 1e-4, 1000)
+        return learning_rate_at(step, 0.01, 1e-4, 1000)
 
     def late(step):
-        return exponential(step, 1.0, 0.1, 500, start=300)
+        return learning_rate_at(step, 1.0, 0.1, 500, start=300)
 
     assert rate(0) == pytest.approx(0.01) and rate(500) == pytest.approx(1e-3)
     assert rate(1000) == rate(9999) == pytest.approx(1e-4)
-    assert exponential(7, 0.0, 0.0, 1000) == 0 and exponential(7, 0.3, 0.3, 1000) == 0.3
+    assert learning_rate_at(7, 0.0, 0.0, 1000) == 0 and learning_rate_at(7, 0.3, 0.3, 1000) == 0.3
     assert late(100) == late(300) == 1 and late(400) == pytest.approx(0.1**0.5)
 
 
@@ -402,12 +402,12 @@ def test_what_no_equation_spoiled_is_named(scene, monkeypatch, L_total, said):
 def test_calls_are_watched_from_outside(scene):
     """In the order of the paper's figures; afterwards the profile function is the one before."""
     trainer, seen, before = Trainer(scene, SMOKE), [], sys.getprofile()
-    with watching(equation_codes(), lambda event, mark, *_: seen.append((event, *mark))):
+    with watch_calls(equation_codes(), lambda event, mark, *_: seen.append((event, *mark))):
         trainer.step()
     trainer.step()
     assert sys.getprofile() is before
     forwards = [key for event, key, name in seen if (event, name) == ("call", "forward")]
-    assert forwards[:3] == ["view", "opacity", "mlp"] and forwards[-1] == "total_loss"
+    assert forwards[:3] == ["view", "offsets", "scale"] and forwards[-1] == "total_loss"
     assert seen[-1] == ("return", "view", "backward")
     assert seen.count(("call", "scale", "backward")) == 1
     assert seen.count(("return", "compositing, fast", "forward")) == 1

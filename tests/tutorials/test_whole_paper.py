@@ -145,7 +145,7 @@ def test_whole_loss_and_its_gradient_are_those_of_the_package(stage, whole):
     networks = {name: theirs.network(name) for name in design.layers()}
     one_view = View("7", image.reshape(size, size, 3), None, camera, t)
     losses, _, back = objective.loss(
-        theirs, design, networks, theirs.listed("grid"), fixed, one_view, u
+        theirs, design, networks, theirs.arrays_of("grid"), fixed, one_view, u
     )
     assert L == pytest.approx(losses.L_total, rel=1e-11)
     assert parts["bits"] == pytest.approx(losses.bits, rel=1e-11)

@@ -133,7 +133,7 @@ def traced(
         dict(x_a=x_a, f_a=f_a, log_s=log_s, log_l=log_l, O_a=O_a), networks_of(networks), grids
     )
     nets = {name: p.network(name) for name in networks_of(networks)}
-    levels = p.listed("grid")
+    levels = p.arrays_of("grid")
     design = replace(
         EMPTY,
         d=f_a.shape[1],

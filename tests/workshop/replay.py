@@ -124,7 +124,7 @@ def steps(u, views, iteration, effects, draws=(), **inputs):
     trainer.rng = GivenNumbers(u, draws)
     trainer.order = [*views[::-1]]
     for _ in views:
-        rates = [trainer.rate_of(name) for name in ARRAYS]
+        rates = [trainer.learning_rate(name) for name in ARRAYS]
         losses = trainer.step()[0]
         yield losses, rates, state_of(trainer)
 

@@ -68,7 +68,7 @@ def random_parameters(method, seed=0, N=9, dtype=np.float64):
         p["psi_d.W0"][:width] = p["psi_d.W2"][:width] = 0
     elif method == "hexplane":
         p["box"][...] *= 0.9  # no point is exactly on a face, where the slope jumps
-        for plane in p.listed("planes"):
+        for plane in p.arrays_of("planes"):
             plane[...] = rng.normal(size=plane.shape) + 1
     else:
         p["mu_t"][-1] = 9

@@ -37,7 +37,7 @@ def test_d3dgs_against_a_loop():
 def test_hexplane_against_a_loop():
     p = random_parameters("hexplane", 3)
     g = model_of("hexplane", p).predict(T, X_C)[0]
-    features, _ = plane_features.forward(p["x"], T, *p["box"], p.listed("planes"))
+    features, _ = plane_features.forward(p["x"], T, *p["box"], p.arrays_of("planes"))
     W, b = p.network("psi")
     for n, x in enumerate(p["x"]):
         h = np.maximum(np.maximum(features[n] @ W[0] + b[0], 0) @ W[1] + b[1], 0)

@@ -288,9 +288,9 @@ FORMULAS = [
         "projection-detached-determinant",
         "the gradient of the conic takes the determinant for a constant",
         {
-            "cov_bar -= K @ halved(conic_bar, visible) @ K": (
-                "cov_bar += halved(conic_bar, visible)[:, ::-1, ::-1] * [[1, -1], [-1, 1]] "
-                "* np.linalg.det(K)[:, None, None]"
+            "cov_bar -= K @ matrix_gradient(conic_bar, visible) @ K": (
+                "cov_bar += matrix_gradient(conic_bar, visible)[:, ::-1, ::-1] "
+                "* [[1, -1], [-1, 1]] * np.linalg.det(K)[:, None, None]"
             )
         },
     ),
@@ -337,8 +337,8 @@ FORMULAS = [
             "np.stack([c, -b, a], axis=1) / np.where(visible, det, 1)[:, None]": (
                 "np.stack([a, b, c], axis=1)"
             ),
-            "cov_bar -= K @ halved(conic_bar, visible) @ K": (
-                "cov_bar += halved(conic_bar, visible)"
+            "cov_bar -= K @ matrix_gradient(conic_bar, visible) @ K": (
+                "cov_bar += matrix_gradient(conic_bar, visible)"
             ),
         },
     ),

@@ -370,7 +370,9 @@ DEFORMED = [
         "deformed-delta-normalised",
         "delta_r is normalised before it is added",
         {
-            "moved(r, delta_r)": ("moved(r, normalise(delta_r)[0] if delta_r.size else delta_r)"),
+            "add_delta(r, delta_r)": (
+                "add_delta(r, normalise(delta_r)[0] if delta_r.size else delta_r)"
+            ),
             "(r_t, norm, widths)": "((r_t, delta_r), norm, widths)",
             "r_t, norm, (width_x, width_s, width_r) = saved": (
                 "(r_t, delta_r), norm, (width_x, width_s, width_r) = saved"
@@ -415,8 +417,8 @@ DEFORMED = [
         "deformed-log-scale",
         "delta_s is added to the logarithm: s_t = s exp(delta_s)",
         {
-            "moved(s, delta_s), moved(r": (
-                "(s * np.exp(delta_s) if delta_s.shape[1] else s), moved(r"
+            "add_delta(s, delta_s), add_delta(r": (
+                "(s * np.exp(delta_s) if delta_s.shape[1] else s), add_delta(r"
             ),
             "(r_t, norm, widths)": "((r_t, s, delta_s), norm, widths)",
             "r_t, norm, (width_x": "(r_t, s, delta_s), norm, (width_x",
@@ -429,8 +431,8 @@ DEFORMED = [
         "deformed-clamped-scale",
         "negative scales are set to zero",
         {
-            "moved(s, delta_s), moved(r": (
-                "(np.maximum(s + delta_s, 0) if delta_s.shape[1] else s), moved(r"
+            "add_delta(s, delta_s), add_delta(r": (
+                "(np.maximum(s + delta_s, 0) if delta_s.shape[1] else s), add_delta(r"
             ),
             "(r_t, norm, widths)": "((r_t, s_t), norm, widths)",
             "r_t, norm, (width_x": "(r_t, s_t), norm, (width_x",

@@ -8,7 +8,7 @@ import numpy as np
 from p4dgs_ref.equations import grid_nodes, hash_grid
 from p4dgs_ref.training import density
 from p4dgs_ref.training.density import ROWS
-from p4dgs_ref.training.parameters import BETA_1, BETA_2, Adam, exponential
+from p4dgs_ref.training.parameters import BETA_1, BETA_2, Adam, learning_rate_at
 from p4dgs_ref.training.trainer import Trainer
 from tests.workshop import pipeline
 from tests.workshop.mistakes.kit import surgery
@@ -52,9 +52,9 @@ def linear_sizes(*given):
 def moves_in_stage_4(self, name):
     """Positions go on learning when the grid has located them."""
     if name != "x_a":
-        return Trainer.rate_of(self, name)
+        return Trainer.learning_rate(self, name)
     preset = self.preset
-    return exponential(self.iteration, *preset.lr_x, preset.iterations, preset.decay_from)
+    return learning_rate_at(self.iteration, *preset.lr_x, preset.iterations, preset.decay_from)
 
 
 def counts_iterations(self):
@@ -69,14 +69,14 @@ class StockAdam(Adam):
 
     epsilon = 1e-15
 
-    def step(self, parameters, gradients, rate_of):
+    def step(self, parameters, gradients, learning_rate):
         before = parameters.vector.copy()
-        super().step(parameters, gradients, rate_of)  # moments and counts
+        super().step(parameters, gradients, learning_rate)  # moments and counts
 
         def share(beta, name):
             return 1 - beta ** self.steps[name] or 1
 
-        slow = parameters.per_element(lambda name: rate_of(name) / share(BETA_1, name))
+        slow = parameters.per_element(lambda name: learning_rate(name) / share(BETA_1, name))
         root = np.sqrt(self.second.vector / parameters.per_element(lambda n: share(BETA_2, n)))
         parameters.vector[...] = before - slow * self.first.vector / (root + self.epsilon)
 
@@ -228,7 +228,7 @@ MISTAKES = [
         "positions go on moving in stage 4, away from where the grid has located them",
         RATES,
         Replayed,
-        "rate_of",
+        "learning_rate",
         moves_in_stage_4,
     ),
     of_training(

@@ -28,7 +28,7 @@ from p4dgs_ref.training import trainer
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.initial import neighbour_distance, starting_points
 from p4dgs_ref.training.objective import Losses, Rendered
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential
+from p4dgs_ref.training.parameters import Adam, Parameters, learning_rate_at
 from p4dgs_ref.training.watch import NotFinite, first_bad
 
 from . import sh_color
@@ -277,13 +277,13 @@ class Trainer(trainer.Trainer):
         """The model as it is now."""
         return self.around(Parameters(self.parameters.arrays))
 
-    def rate_of(self, name):
+    def learning_rate(self, name):
         """The current learning rate of an array, or of all arrays of a network."""
         waits = name in MOVING_ARRAYS and self.iteration < self.preset.warm_up
         if waits or name not in self.RATES:
             return 0.0
         now, until = self.schedule()
-        rate = exponential(now, *getattr(self.preset, self.RATES[name]), until=until)
+        rate = learning_rate_at(now, *getattr(self.preset, self.RATES[name]), until=until)
         return rate * self.extent if name in self.PER_EXTENT else rate
 
     def schedule(self):

@@ -70,7 +70,7 @@ class HexPlane(explicit.Explicit):
         if moves:
             lo, hi = p["box"]
             features, back_features = with_backward(
-                plane_features, x, t, lo, hi, p.listed("planes")
+                plane_features, x, t, lo, hi, p.arrays_of("planes")
             )
             deltas, back_decoder = with_backward(plane_decoder, features, *p.network("psi"))
             x, log_s, raw_r = x + deltas[0], log_s + deltas[1], raw_r + deltas[2]
@@ -95,7 +95,7 @@ class HexPlane(explicit.Explicit):
         factors = self.preset.lambda_planes
         if iteration < self.preset.warm_up:
             return 0.0
-        losses, back = with_backward(plane_losses, self.parameters.listed("planes"))
+        losses, back = with_backward(plane_losses, self.parameters.arrays_of("planes"))
         for i, bar in enumerate(back(*factors)["planes"]):
             gradients[f"planes.{i}"][...] += bar
         return float(np.dot(factors, losses))

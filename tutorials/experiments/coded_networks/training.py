@@ -6,7 +6,7 @@ import numpy as np
 
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
-from p4dgs_ref.training.parameters import Adam, Parameters, exponential
+from p4dgs_ref.training.parameters import Adam, Parameters, learning_rate_at
 from p4dgs_ref.training.presets import TINY, Preset
 from p4dgs_ref.training.progress import Progress
 
@@ -40,12 +40,12 @@ class Trainer(trainer.Trainer):
         super().adopt(parameters)
         self.layout = Layout(parameters, self.networks)
 
-    def rate_of(self, name):
+    def learning_rate(self, name):
         """The current learning rate of a name; steps take part in stage 4."""
         if name != "log_step":
-            return super().rate_of(name)
+            return super().learning_rate(name)
         schedule = *LR_STEP, self.preset.iterations, self.preset.decay_from
-        return exponential(self.iteration, *schedule) if self.stage == 4 else 0.0
+        return learning_rate_at(self.iteration, *schedule) if self.stage == 4 else 0.0
 
     def freeze_positions(self):
         """Put positions on the lattice of few bits, which is a part of the paper's.

@@ -140,7 +140,7 @@ def columns_of(p, values):
 
 def planes_of(p):
     """The planes, flat, as views."""
-    return [a.reshape(-1) for a in p.listed("planes")]
+    return [a.reshape(-1) for a in p.arrays_of("planes")]
 
 
 def write_groups(groups, sensitivities, loss):
