@@ -7,7 +7,7 @@ import pytest
 from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.training.presets import PRESETS, SMOKE
 from p4dgs_ref.training.trainer import Trainer
-from p4dgs_ref.training.watch import equation_codes, watching
+from p4dgs_ref.training.watch import equation_codes, watch_calls
 
 # The field of a preset that is the learning rate of an array, or of all arrays of a network.
 FIELDS = {
@@ -65,7 +65,7 @@ def test_the_order_of_the_stages(scene, stage):
     last = SMOKE.stage_ends[stage - 1] - 1
     assert SMOKE.stage(last) == stage, f"the stage of iteration {last} of {SMOKE.stage_ends}"
     trainer, called = in_stage(scene, stage), set()
-    with watching(equation_codes(), lambda event, mark, *_: called.add(mark[0])):
+    with watch_calls(equation_codes(), lambda event, mark, *_: called.add(mark[0])):
         trainer.step()
     expected = {name for name, first in FIRST.items() if first <= stage}
     assert called & {*FIRST} == expected, f"equations that stage {stage} calls"
@@ -80,8 +80,8 @@ def rates(scene):
         trainer = in_stage(scene, stage, **own)
         names = trainer.parameters.arrays
 
-        def step(p, gradients, rate_of, stage=stage, names=names):
-            asked[stage] = {name: rate_of(name) for name in names}
+        def step(p, gradients, learning_rate, stage=stage, names=names):
+            asked[stage] = {name: learning_rate(name) for name in names}
 
         trainer.adam.step = step
         trainer.step()
