@@ -10,7 +10,7 @@ from tests.imports import PACKAGE, files, imported
 PACKAGE_FILES = files("p4dgs_ref")
 # A room imports itself and the rooms before it. The first row is the ground floor.
 ORDER = (
-    *("version", "signals", "arithmetic", "limits"),
+    *("version", "signals", "arithmetic", "limits", "messages"),
     *("equations", "splatting", "attributes", "effects", "model", "output", "scenes"),
     *("training", "codec", "report", "oracle", "lessons", "lab", "cli", "__main__", "__init__"),
 )
