@@ -20,8 +20,7 @@ from ..report.evaluate import call_with_seconds, compression, json_safe
 from ..scenes.files import write_image
 from ..scenes.load import read_points_for, read_scene_json
 from ..scenes.scene import size_of
-from ..training import advice
-from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit, load_model
+from ..training.fit import CHECKPOINT, HOW_TO_RESUME, fit_with_advice, load_model
 from ..training.presets import choose
 from . import (
     UsageError,
@@ -122,10 +121,8 @@ def train(arguments):
                 f"no scene.json lists effects; `p4dgs-ref effects {scene.source} --suggest --apply "
                 f"--downscale {arguments.downscale}` finds and lists those that the pictures show"
             )
-    for sentence in advice.before(scene, preset, arguments.seed):
-        print_warning(sentence)
     with writable_folder(arguments.output) as folder:
-        trainer = fit(
+        trainer, *_ = fit_with_advice(
             scene,
             preset,
             arguments.seed,
@@ -135,7 +132,6 @@ def train(arguments):
         )
         with staged_folder(folder) as staging:
             figures.write_training(staging, trainer.history, preset.stage_ends)
-    print_warning(advice.after(trainer))
     print_result(
         f"{folder}: {trainer.iteration} iterations, {number_of(len(trainer.mask), 'anchor')}"
     )

@@ -399,6 +399,8 @@ def run(argv, start):
     with warnings.catch_warnings():
         # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags where every number is right.
         warnings.filterwarnings("ignore", ".* encountered in matmul", RuntimeWarning)
+        # They are messages of the command, which `python -W error` does not turn into tracebacks.
+        warnings.filterwarnings("default", category=UserWarning)
         # In one line, at once; the place in the code means nothing to a user.
         warnings.showwarning = lambda message, *place, **stream: print_warning(message)
         try:

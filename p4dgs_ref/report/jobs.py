@@ -11,8 +11,7 @@ from ..codec.container import EncodeError
 from ..codec.file import decode, encode
 from ..output import refuse_existing, staged_folder
 from ..scenes.scene import Scene
-from ..training import advice
-from ..training.fit import fit, identity, save_checkpoint
+from ..training.fit import fit_with_advice, identity, save_checkpoint
 from ..training.presets import PRESETS, Preset, choose, differences
 from . import figures
 from .evaluate import call_with_seconds, compression, evaluate, json_safe
@@ -43,9 +42,7 @@ def main_job(
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
             refuse_existing(Path(folder) / file)
-        for sentence in advice.before(scene, preset, seed):
-            warnings.warn(sentence, stacklevel=2)
-        trainer, seconds = call_with_seconds(fit, scene, preset, seed, stream=stream)
+        trainer, seconds, warning = fit_with_advice(scene, preset, seed, stream=stream)
         try:
             data, encode_seconds = call_with_seconds(encode, trainer.model())
         except (EncodeError, OverflowError) as error:
@@ -62,7 +59,6 @@ def main_job(
                 "than the scene; more cameras, or slower motion between them, would tell more",
                 stacklevel=2,
             )
-        warning = advice.after(trainer)
         metrics = {
             "scene": scene.name,
             "preset": preset.name,
@@ -85,8 +81,6 @@ def main_job(
         figures.write_motion(staging / "motion.gif", model, scene.test[0].camera)
         figures.write_size(staging, preset.name, metrics)
         figures.write_training(staging, trainer.history, preset.stage_ends)
-        if warning:
-            warnings.warn(warning, stacklevel=2)
         metrics["seconds"] = time.perf_counter() - start
         (staging / "metrics.json").write_text(
             json.dumps(json_safe(metrics), indent=1) + "\n", encoding="utf-8"

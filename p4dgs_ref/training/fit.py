@@ -64,12 +64,23 @@ def train(
     more, of a model that draws nothing, and of one that draws little of what moves.
     """
     preset = choose(preset, changes)
+    options = dict(settings=settings, points=points, folder=folder, resume=resume, stream=stream)
+    return fit_with_advice(scene, preset, seed, **options)[0].model()
+
+
+def fit_with_advice(scene, preset, seed, points=None, **options):
+    """Call `fit`, and warn before it and after it of a training that cannot learn or did not.
+
+    Return the Trainer, the seconds that `fit` took, and the warning after it, "" if there is none.
+    """
     for sentence in advice.before(scene, preset, seed, points):
-        warnings.warn(sentence, stacklevel=2)
-    trainer = fit(scene, preset, seed, settings, points, folder, resume, stream)
-    if sentence := advice.after(trainer):
-        warnings.warn(sentence, stacklevel=2)
-    return trainer.model()
+        warnings.warn(sentence, stacklevel=3)
+    start = time.perf_counter()
+    trainer = fit(scene, preset, seed, points=points, **options)
+    seconds, warning = time.perf_counter() - start, advice.after(trainer)
+    if warning:
+        warnings.warn(warning, stacklevel=3)
+    return trainer, seconds, warning
 
 
 def fit(

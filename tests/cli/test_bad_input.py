@@ -405,7 +405,7 @@ def test_no_test_views():
 
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
-    monkeypatch.setattr("p4dgs_ref.cli.job.fit", partial(fit, save_every=0))
+    monkeypatch.setattr("p4dgs_ref.training.fit.fit", partial(fit, save_every=0))
     for rate in ("lr_d", "lr_c"):  # such rates are refused
         monkeypatch.setitem(presets.REQUIREMENTS, rate, ("any", lambda ends: True))
 
@@ -451,7 +451,7 @@ def test_out_of_memory(place, run, monkeypatch):
     def full(*arguments, **named):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.report.jobs.fit", full)
+    monkeypatch.setattr("p4dgs_ref.training.fit.fit", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")

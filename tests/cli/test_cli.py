@@ -282,8 +282,7 @@ def stopped(monkeypatch):
     def stop(*arguments, **named):
         raise KeyboardInterrupt
 
-    for name in ("report.jobs.fit", "cli.job.fit"):
-        monkeypatch.setattr(f"p4dgs_ref.{name}", stop)
+    monkeypatch.setattr("p4dgs_ref.training.fit.fit", stop)
 
 
 @pytest.mark.parametrize("line", ESTIMATED)

@@ -326,8 +326,8 @@ from functools import partial
 from p4dgs_ref import prepare
 prepare()
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.cli import job
-job.fit = partial(job.fit, save_every=0)
+from p4dgs_ref.training import fit
+fit.fit = partial(fit.fit, save_every=0)
 sys.exit(main())
 """
 

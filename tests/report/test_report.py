@@ -236,7 +236,9 @@ def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
 
 
 def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(job, "fit", lambda *args, **kwargs: pytest.fail("trained for nothing"))
+    monkeypatch.setattr(
+        job, "fit_with_advice", lambda *args, **kwargs: pytest.fail("trained for nothing")
+    )
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     with pytest.raises(OutputError, match="file/report: expected a folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")

@@ -206,8 +206,9 @@ def test_the_command_prints_every_warning_beside_its_result(tmp_path, capsys, mo
     assert kinds(told) == WARNINGS
 
 
-@pytest.mark.filterwarnings("always:views")
+@pytest.mark.filterwarnings("error")
 def test_the_command_line_prints_a_warning_at_once_and_as_one_line(capsys, monkeypatch):
+    """Also under `python -W error`, which would make a traceback of it."""
     working = "the work goes on"
     monkeypatch.setattr(
         text,
