@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from os.path import commonprefix
 from types import SimpleNamespace
 
 import numpy as np
@@ -64,22 +65,40 @@ KINDS = {
 }
 
 
+def parts_of(name, data):
+    """The parts of a file of the streams, {name: bytes}: sections, arrays, or the whole file."""
+    stem, _, kind = name.partition(".")
+    if kind == "bin":
+        starts = {entry["name"]: entry["offset"] for entry in GOOD[stem]["arrays"]}
+        ends = [*starts.values(), len(data)][1:]
+        return {f"array {key}": data[at:end] for (key, at), end in zip(starts.items(), ends)}
+    if stem in GOOD:
+        return {f"section {key}": body for key, body in sections_in(data).items()}
+    return {"the file": data}
+
+
+def first_difference(name, made, kept):
+    """The part of a file and the byte in it that differs first."""
+    for part, body in parts_of(name, kept).items():
+        other = parts_of(name, made).get(part, b"")
+        if other != body:
+            at = len(commonprefix([other, body]))
+            return f"{name}: {part}, byte {at} of {len(body)}"
+    return f"{name}: the container" if made != kept else ""
+
+
 def test_the_builder_writes_the_published_bytes(tmp_path, capsys):
-    new = tmp_path / "new"
+    """The first message names the section and the byte, the smallest stream first."""
+    new, rows = tmp_path / "new", [*GOOD.values(), *BAD.values()]
     conformance.main(["-o", str(new)])
     assert capsys.readouterr().out.startswith(f"{new}: ")
-    names = sorted(path.name for path in STREAMS.iterdir())
-    assert sorted(path.name for path in new.iterdir()) == names
-    for name in names:
-        assert (new / name).read_bytes() == read(name), name
-    assert sum(len(read(name)) for name in names) <= 260_000
-    files = [
-        row[key]
-        for row in [*GOOD.values(), *BAD.values()]
-        for key in ("file", "expected")
-        if key in row
-    ]
-    assert sorted([*files, "manifest.json"]) == names
+    names = [row[key] for row in rows for key in ("file", "expected") if key in row]
+    for name in [*names, "manifest.json"]:
+        different = first_difference(name, (new / name).read_bytes(), read(name))
+        assert not different, different
+    for folder in (new, STREAMS):
+        assert {path.name for path in folder.iterdir()} == {*names, "manifest.json"}
+    assert sum(path.stat().st_size for path in STREAMS.iterdir()) <= 260_000
     assert len(GOOD) == len(MANIFEST["good"]) and len(BAD) == len(MANIFEST["bad"])
 
 
