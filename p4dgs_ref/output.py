@@ -14,19 +14,23 @@ report of `demo` is never replaced by another training.
 import errno
 import os
 import shutil
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 
 from .signals import deferred
 
 try:
     import fcntl
-except ImportError:  # Windows: nothing is locked there
+except ImportError:  # Windows, which can lock a file, but not a folder
     fcntl = None
+try:
+    import msvcrt
+except ImportError:  # not Windows
+    msvcrt = None
 
 PART = ".p4dgs-part-"
-SPARE = 6  # file descriptors, more than removing a hidden folder takes
+LOCK = ".p4dgs-lock"  # a file in a locked folder, where the folder itself cannot be locked
 
 
 class OutputError(ValueError):
@@ -39,14 +43,12 @@ def locked(folder):
 
     Raises OutputError where another process holds it. Not every file system has locks.
     """
-    if fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
+    path = Path(folder) if fcntl else Path(folder) / LOCK
+    handle = os.open(path, os.O_RDONLY if fcntl else os.O_RDWR | os.O_CREAT)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            lock(handle)
+        except (BlockingIOError, PermissionError):
             raise OutputError(
                 f"{folder}: another process is writing to it; expected a folder of its own"
             ) from None
@@ -55,6 +57,17 @@ def locked(folder):
         yield
     finally:
         os.close(handle)
+        if not fcntl:
+            with suppress(OSError):  # another process holds it
+                path.unlink()
+
+
+def lock(handle):
+    """Lock an open file or folder; raises BlockingIOError or PermissionError if it is locked."""
+    if fcntl:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    elif msvcrt:
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
 
 
 def destination(path):
@@ -75,28 +88,38 @@ def new_part(folder):
     An error of the system names the file in `folder` that was written last. The hidden folder is
     removed even if the process has no file descriptors left; this hides no earlier error.
     """
-    with ExitStack() as spare:
-        for _ in range(SPARE):
-            spare.enter_context(open(os.devnull))
+    part, spare = None, open(os.devnull)
+    try:
         with deferred():  # a signal while it is made would leave it behind
-            hidden = TemporaryDirectory(prefix=PART, dir=folder, ignore_cleanup_errors=True)
-        with hidden as name, spare:
-            part = Path(name)
-            try:
-                yield part
-            except OSError as error:
-                if error.errno:  # of the system, such as that the disk is full
-                    name = error.filename2 or error.filename or [part, *files_in(part)][-1]
-                    error.filename = os.path.join(
-                        *(place for place in Path(name).parts if not place.startswith(PART))
-                    )
-                raise
+            part = Path(mkdtemp(prefix=PART, dir=folder))
+        yield part
+    except OSError as error:
+        if error.errno:  # of the system, such as that the disk is full
+            name = error.filename2 or error.filename or [part, *files_in(part)][-1]
+            error.filename = os.path.join(
+                *(place for place in Path(name).parts if not place.startswith(PART))
+            )
+        raise
+    finally:
+        spare.close()  # `remove` needs one descriptor
+        if part:
+            remove(part)
 
 
 def files_in(folder):
     """All files below a folder in the order in which they were written; at one time, by size."""
     files = filter(Path.is_file, folder.rglob("*"))
     return sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.stat().st_size))
+
+
+def remove(part):
+    """Remove a hidden folder, with one file descriptor at a time; what cannot be removed stays."""
+    for folder, _, files in os.walk(part, topdown=False):
+        for name in files:
+            with suppress(OSError):
+                os.unlink(os.path.join(folder, name))
+        with suppress(OSError):
+            os.rmdir(folder)
 
 
 @contextmanager
@@ -125,20 +148,25 @@ def writable_folder(path):
     folder = Path(path)
     missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     try:
-        try:
-            with deferred():
-                folder.mkdir(parents=True, exist_ok=True)
-                TemporaryDirectory(prefix=PART, dir=folder).cleanup()
-        except OSError as error:
-            raise OutputError(
-                f"{folder}: expected a folder that can be written to ({error.strerror})"
-            ) from None
+        make_folder(folder)
         yield folder
     except BaseException:
         with suppress(OSError):  # the first folder that was not made, or is not empty, ends it
             for place in missing:  # the deepest one first
                 place.rmdir()
         raise
+
+
+def make_folder(folder):
+    """Make a folder, if it is not there, and prove that it can be written to."""
+    try:
+        with deferred():
+            folder.mkdir(parents=True, exist_ok=True)
+            TemporaryDirectory(prefix=PART, dir=folder).cleanup()
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: expected a folder that can be written to ({error.strerror})"
+        ) from None
 
 
 @contextmanager
@@ -152,24 +180,32 @@ def staged_folder(path, reads=None):
     with writable_folder(path) as folder, locked(folder), new_part(folder) as part:
         yield part
         files = files_in(part)
-        with ExitStack() as proven:  # takes away folders that it made if not all can be written
-            for file in files:
-                proven.enter_context(new_file(folder / file.relative_to(part), reads))
-            with deferred(f"; all files are in {folder}"):  # they move, or none does
-                for file in files:
-                    place = folder / file.relative_to(part)
-                    try:
-                        os.replace(file, destination(place))
-                    except OSError as error:
-                        if error.errno != errno.EXDEV:
-                            raise
-                        with replaced(place) as there:  # on another disk, where a link leads
-                            shutil.move(file, there)
+        targets = [writable(folder / file.relative_to(part), reads) for file in files]
+        for target in targets:  # folders within are made only if all files can be written
+            make_folder(next(filter(os.path.lexists, target.parents)))
+        with deferred(f"; all files are in {folder}"):  # they move, or none does
+            for i, target in enumerate(targets):
+                try:
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    move(files[i], target)
+                except OSError as error:  # of what was proven: the system has changed since
+                    error.strerror = f"{error.strerror}; {i} of {len(files)} files are replaced"
+                    raise
 
 
-@contextmanager
-def new_file(path, *reads, start=b""):
-    """Prove that the file `path` can be written; its folder is made as in `writable_folder`.
+def move(file, target):
+    """Put a file in the place of another one, which may be on another disk, where a link led."""
+    try:
+        os.replace(file, target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with TemporaryDirectory(prefix=PART, dir=target.parent) as beside:
+            os.replace(shutil.copy(file, beside), target)
+
+
+def writable(path, *reads, start=b""):
+    """Return the regular file that `path` stands for, if a new one may take its place.
 
     It must be none of the files `reads`, from which it is made; None stands for no file. An old
     file must be empty or begin with `start`, as the new one does.
@@ -181,7 +217,14 @@ def new_file(path, *reads, start=b""):
         with open(target, "rb") as old:
             if old.read(len(start)) not in (b"", start):
                 raise OutputError(f"{path}: a file of another kind; expected a new name")
-    with writable_folder(target.parent):
+        os.replace(target, target)  # does nothing, but Windows refuses a file that a program holds
+    return target
+
+
+@contextmanager
+def new_file(path, *reads, start=b""):
+    """Prove that the file `path` can be written, as `writable` does, and make its folder."""
+    with writable_folder(writable(path, *reads, start=start).parent):
         yield Path(path)
 
 

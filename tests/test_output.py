@@ -131,6 +131,27 @@ def test_folders_within_are_removed_where_another_file_cannot_be_written(tmp_pat
     assert os.listdir(tmp_path) == ["taken"]
 
 
+@pytest.mark.parametrize("held_since", ["before", "the last moment"])
+def test_a_file_that_another_program_holds(tmp_path, monkeypatch, held_since):
+    """Windows refuses to replace it, or to give it a name, even the one that it has."""
+    replace = os.replace
+    (tmp_path / "x").write_bytes(b"old")
+
+    def refusing(file, target):
+        if target == tmp_path / "x" and (held_since == "before" or file != target):
+            raise PermissionError(errno.EACCES, "Permission denied", file, None, target)
+        replace(file, target)
+
+    monkeypatch.setattr(os, "replace", refusing)
+    with pytest.raises(PermissionError) as caught:
+        write_folder(tmp_path / "x")
+    assert caught.value.filename == str(tmp_path / "x")
+    others, says = ([], "") if held_since == "before" else (["a first file"], "; 1 of 2 files are")
+    assert caught.value.strerror.startswith(f"Permission denied{says}")
+    assert sorted(os.listdir(tmp_path)) == [*others, "x"]
+    assert (tmp_path / "x").read_bytes() == b"old"
+
+
 def test_without_descriptors_nothing_is_left_and_the_first_error_stays(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
