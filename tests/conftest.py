@@ -1,7 +1,7 @@
 """Rooms run in the order of the house, so that the first failure is near the break.
 
-`--share 1/2` and `--share 2/2` divide the chosen tests between two processes. The header shows the
-seed of the short lane's samples.
+`--share 1/2` and `--share 2/2` divide the chosen tests between two processes. The last line of a
+failing run names the seed that drew what takes turns in the slow lane.
 """
 
 import os
@@ -33,7 +33,14 @@ def pytest_addoption(parser):
 
 
 def pytest_report_header():
-    return [f"sampled tests: P4DGS_TEST_SEED={SEED}", f"package: {p4dgs_ref.__file__}"]
+    return f"package: {p4dgs_ref.__file__}"
+
+
+@pytest.hookimpl(trylast=True)  # after the line that counts the failures
+def pytest_unconfigure(config):
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    if reporter and {"failed", "error"} & reporter.stats.keys():
+        reporter.write_line(f"P4DGS_TEST_SEED={SEED} drew what takes turns in the slow lane")
 
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen

@@ -1,7 +1,6 @@
 """Hostile files: every damage is refused, and the memory of decoding is bounded by the header."""
 
 from collections import Counter
-from datetime import date
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
 from tests.codec.models import changed, digest, refusal, traced, with_header
-from tests.sampling import few
+from tests.sampling import SEED, few
 from tests.workshop import fuzz
 from tests.workshop.conformance_good import GOOD, stream_of
 from tests.workshop.damage import assemble, damage_header, mutation, sections_in
@@ -45,14 +44,18 @@ REAL = dict(
 DEMO = [*ROOT.glob("tutorials/demo.p4dgs")]  # none where the paper stands alone
 
 
+def damages(few, many):
+    """Return (count, seed): `few` are the same always, `many` others for each P4DGS_TEST_SEED."""
+    return [(few, 0), pytest.param(many, int(SEED), marks=pytest.mark.slow, id=f"{many}")]
+
+
 @pytest.fixture(scope="module")
 def least():
     return fuzz.good_files()[1]
 
 
-@pytest.mark.parametrize("count", [150, pytest.param(1000, marks=pytest.mark.slow)])
-def test_damage_is_refused_or_within_limits(count):
-    seed = date.today().toordinal()
+@pytest.mark.parametrize("count, seed", damages(150, 1000))
+def test_damage_is_refused_or_within_limits(count, seed):
     answers, failures = fuzz.fuzz(count, seed)
     assert not failures, f"seed {seed}"
     assert sum(sum(c.values()) for c in answers.values()) == count
@@ -126,13 +129,13 @@ def kept(model):
     return without_silent_units(changed(model, **anchors))
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count, seed", damages(60, 500))
 @pytest.mark.filterwarnings("error")
-def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count):
+def test_what_decodes_encodes_to_a_file_that_decodes_to_the_same(count, seed):
     """Where the box has no extent, 0 is stored, and attributes may move by half of another step."""
     good = [path.read_bytes() for path in DEMO]
     good += [write_container(stream_of(make)[1]) for _, make in GOOD.values()]
-    seed, seen = date.today().toordinal(), Counter()
+    seen = Counter()
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         data = edited(rng, good[rng.integers(len(good))])

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.training import objective
-from tests.sampling import few
 from tests.training.whole_gradient import check, setting
 
 STAGES_1_AND_2 = {"psi_d", "psi_p", "psi_q", "grid"}
@@ -24,7 +23,7 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize("name", few(SETTINGS, 1))
+@pytest.mark.parametrize("name", SETTINGS)
 def test_every_array_has_its_gradient(name, monkeypatch):
     arguments, without_gradient = SETTINGS[name]
     p, *others = setting(**arguments)

@@ -46,7 +46,7 @@ def test_the_page_holds_the_demo_first_and_files_of_other_lambda():
     assert notes["demo.p4dgs"]["anchor"] == THREAD.index
     layers = (view.VIEWER / "layers.js").read_text(encoding="utf-8")
     assert f'MARKED = "{THREAD.color.lower()}"' in layers
-    for name, data in of_the_day(files.items()):
+    for name, data in files.items():
         assert lambdas.note(data, 0)["psnr_db"] == pytest.approx(notes[name]["psnr_db"], abs=0.01)
 
 
