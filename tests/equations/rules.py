@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from p4dgs_ref.splatting.table import Equation
+from p4dgs_ref.equations.table import Equation
 from tests.equations.adjoint import EPS, cast, close, draw_cotangents, is_float, leaves
 from tests.workshop import shape_comments
 
