@@ -182,7 +182,7 @@ def test_json_report_keeps_the_contract(tmp_path):
     value = report.as_json(judge_folder(tmp_path, "offsets", arrays))
     value = json.loads(json.dumps(value, allow_nan=False))
     assert value["first_divergence"] == "offsets"
-    versions = {"p4dgs_ref": p4dgs_ref.__version__, "vectors": "1.0"}
+    versions = {"p4dgs_ref": p4dgs_ref.__version__, "vectors": "1.1"}
     assert {"versions": versions, "dtype": None, "strict": False}.items() <= value.items()
     for case in value["cases"]:
         assert set(case) >= {"id", "equation", "verdict", "worst", "explanation"}

@@ -11,12 +11,15 @@ from types import SimpleNamespace
 import numpy as np
 
 from p4dgs_ref.model import bounding_box
+from p4dgs_ref.oracle import published
+from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.scenes.scene import View
 from p4dgs_ref.splatting.settings import EXACT
 from p4dgs_ref.training.density import Statistics
 from p4dgs_ref.training.parameters import Adam, Parameters
 from p4dgs_ref.training.presets import FIELDS, SMOKE
-from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer
+from tests.workshop.cases import Case
 from tests.workshop.flat import camera_of
 from tests.workshop.pipeline import (
     ARRAYS,
@@ -150,10 +153,61 @@ def replay_steps(**inputs):
     return by_step(states), no_pullback
 
 
+def added():
+    """Yield the cases that joined after version 1.0, in which no two settings are equal.
+
+    They go on from the state of `growing`, with fewer views of some children; child n is child
+    n % 2 of anchor n // 2. `apart` does four steps, of which the last two are counted; then anchors
+    grow. A case ends there: noise for one number of anchors does not fit another. Children 3, 6, 7
+    and 12 are masked, so that no step adds to the sums that they are given here.
+
+    Level 1, voxels of 0.8: 5 and 6 share a free one, 7 and 8 another one, and of two features each
+    is larger in some numbers. 3 has been seen too rarely. 7 is above the threshold per view in
+    which it was seen, not per visit of its anchor.
+    Level 2, voxels of 0.2: 12 lies in that of the anchor that 7 and 8 have just made, and the draw
+    of 10 is between 1/4 and 1/2.
+    Level 3, voxels of 0.05: the draw of 9 is between 1/8 and 1/4.
+
+    In the fourth step child 13 is behind the camera. Five anchors have two visits, which is not
+    more than the window; one scale is above its limit. `from` and `until` do two steps each and end
+    with an adjustment on `grow_from` and on `grow_until`, so that nothing grows.
+    """
+    start = {case.name: case for case in published.cases("training")}["growing"]
+    state = cast(start.inputs(), np.float64)
+    state["O_a"][6] = (-1.25, -0.75, -2), (2.25, -1.125, 2.5)
+    state["log_s"][5, 1] = 0.25
+    state["T"][4, 2] -= 1.75
+    state["mask"].flat[[3, 6, 7, 12]] = False
+    state["visits"][[3, 4]] = 3
+    often = [5, 6, 7, 8, 9, 10, 12]
+    state["seen"].flat[often] = 2
+    state["gradient"].flat[[3, *often]] = np.array([32, 16, 16, 3, 16, 32, 16, 16]) / 512
+    draws = np.full((3, 14), 0.0625)
+    draws[0, [3, 5, 6, 7, 8]] = 0.75
+    draws[1, [10, 12]] = 0.375, 0.75
+    draws[2, 9] = 0.1875
+    settings = {
+        name: ((3 + i) * 2.0**-10, (2 + i) * 2.0**-12)
+        for i, name in enumerate(LEARNING_RATES.values())
+    }
+    settings |= dict(Q_f=0.25, Q_s=0.0078125, Q_l=0.015625, Q_O=0.125, lambda_rate=0.03125)
+    settings |= dict(grow_every=8, success=0.25, grow_from=3, grow_until=24, mask_from=99)
+    settings |= dict(collect_from=6, stage_ends=(0, 0, 9, 30), decay_from=5, draws=[*draws])
+    inputs = {**cast(cast(state, np.float32), np.float64), **settings}
+    noise = [*np.random.default_rng(1).integers(-64, 64, (8, 7, 16)) / 128]
+    for name, iteration, views, u, changed in (
+        ("apart", 4, [2, 3, 1, 4], noise[:4], {}),
+        ("from", 6, [1, 4], noise[4:6], {"grow_from": 8}),
+        ("until", 22, [0, 4], noise[6:], {}),
+    ):
+        steps_of = dict(iteration=iteration, views=np.array(views), u=u)
+        yield Case(name, {**inputs, **steps_of, **changed}, ("replay", "behind", "clamped"))
+
+
 # On a lattice whose corners are float32 numbers: a small coordinate has no more digits.
 EVEN = ("out.x_a", *(f"out.x_a.{i}" for i in range(6)))
 SUBJECTS = (
     as_published("training_steps", replay_steps, single=True, even=EVEN),
-    as_published("training", replay, single=True, even=EVEN),
+    as_published("training", replay, added, single=True, even=EVEN),
     as_published("training_whole", replay, single=True, even=EVEN),
 )

@@ -63,10 +63,11 @@ def no_pullback(**cotangents):
     return {}
 
 
-def as_published(key, vjp, cases=None, **more):
-    """Return a Subject whose declaration, and cases where none are given, are the published ones.
+def as_published(key, vjp, added=lambda: (), **more):
+    """Return a Subject whose declaration and cases are the published ones, then those of `added`.
 
-    Those inputs were drawn once by random numbers that mean nothing; the vectors hold them.
+    The inputs of its cases were drawn once by random numbers that mean nothing, so only the vectors
+    have them. A new case is yielded by `added()`; once it is published, the vectors have it too.
     """
     row = published.subjects()[key]
 
@@ -76,12 +77,14 @@ def as_published(key, vjp, cases=None, **more):
             inputs, cotangents = (cast(a, dtype) for a in (case.inputs(), case.cotangents()))
             flags = tuple(case.record["flags"])
             yield Case(case.name, inputs, flags, True, cotangents, closed_form(case))
+        known = {case.name for case in published.cases(key)}
+        yield from (case for case in added() if case.name not in known)
 
     return Subject(
         **{name: row[name] for name in ("key", "level", "equation", "number", "formula", "shapes")},
         gradients=tuple(row["differentiable"]),
         vjp=vjp,
-        cases=cases or frozen,
+        cases=frozen,
         constants=row["constants"],
         group=row.get("group", ""),
         **more,
