@@ -3,7 +3,6 @@
 import re
 
 from tests import ROOT
-from tests.imports import files
 
 PROSE = re.compile(r'"""(?:.|\n)*?"""|#.*')  # docstrings and comments
 CLASS = re.compile(r"^class (\w+)(.*?)(?=^[^\s)]|\Z)", re.MULTILINE | re.DOTALL)
@@ -12,25 +11,25 @@ NAME = re.compile(
     r"`(\w*[A-Za-z]_\w+|(?:[A-Z][a-z]+)+|\w+(?=\()|[A-Za-z_]\w*\.[A-Za-z]\w*)(\([^`]*\))?`"
 )
 LETTER = re.compile(r"[A-Za-z]_[A-Za-z]")  # of the paper, with its index
-CODE = [file for folder in ("p4dgs_ref", "tests", "tutorials") for file in files(folder)]
-PAGES = [*ROOT.glob("*.md"), *ROOT.glob("p4dgs_ref/**/*.md"), *ROOT.glob("tutorials/**/*.md")]
+FOLDERS = ("p4dgs_ref", "tests", "tiny_scenes", "tutorials")
 
 
 def test_names_in_backquotes_exist():
     """Where it fails, mend the sentence: the name was changed or has gone."""
-    words, prose = {}, {page: page.read_text(encoding="utf-8") for page in PAGES}
-    for file in CODE:
+    files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.*")]
+    pages = [*ROOT.glob("*.md"), *(file for file in files if file.suffix == ".md")]
+    words, prose = {}, {page: page.read_text(encoding="utf-8") for page in pages}
+    for file in (file for file in files if file.suffix == ".py"):
         text = file.read_text(encoding="utf-8")
         code = PROSE.sub("", text)
         for owner, body in [(file.stem, code), *CLASS.findall(code)]:
             words.setdefault(owner, set()).update(re.findall(r"\w+", body))
         prose[file] = "\n".join(PROSE.findall(text))
-    manifest = (ROOT / "p4dgs_ref" / "oracle" / "v1" / "manifest.json").read_text(encoding="utf-8")
-    every = [*ROOT.glob("[!.]*/**/*.*")]
-    endings = {"npz", *(file.suffix[1:] for file in every)}  # of files, which `train` writes too
-    known = {*words, *re.findall(r"\w+", manifest), *(file.stem for file in every)}
-    known = known.union(*words.values())
     del prose[ROOT / "CHANGELOG.md"]  # which names what has gone
+    manifest = (ROOT / "p4dgs_ref" / "oracle" / "v1" / "manifest.json").read_text(encoding="utf-8")
+    known = {*words, *re.findall(r"\w+", manifest), *(file.stem for file in files)}
+    known = known.union(*words.values())
+    endings = {"npz", *(file.suffix[1:] for file in files)}  # of files, which `train` writes too
     wrong = []
     for place, text in prose.items():
         for name in (match[1] for match in NAME.finditer(text) if not LETTER.fullmatch(match[1])):

@@ -24,6 +24,7 @@ PAGES = {
         "tutorials/tour.md",
         "tutorials/reference.md",
         "p4dgs_ref/oracle/v1/README.md",
+        "tests/workshop/README.md",
     )
 }
 README, REFERENCE = PAGES["README.md"], PAGES["tutorials/reference.md"]

@@ -15,9 +15,9 @@ from p4dgs_ref.codec.streams import decode_symbols, encode_bits, encode_gaussian
 from p4dgs_ref.limits import MAX_NUMBERS
 from p4dgs_ref.model import join
 from tests import ROOT
+from tests.codec import fuzz
 from tests.codec.models import changed, digest, refusal, traced, with_header
 from tests.sampling import SEED, few
-from tests.workshop import fuzz
 from tests.workshop.conformance_good import GOOD, stream_of
 from tests.workshop.damage import assemble, damage_header, mutation, sections_in
 from tests.workshop.sample_model import sample_model

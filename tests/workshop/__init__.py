@@ -1,4 +1,4 @@
-"""The workshop: what makes and judges the published files."""
+"""The workshop: what makes the published files. README.md says which module makes which file."""
 
 import p4dgs_ref
 

@@ -1,4 +1,4 @@
-"""Damages files in many ways and checks the decoder: `python -m tests.workshop.fuzz --count N`.
+"""Damages files in many ways and checks the decoder: `python -m tests.codec.fuzz --count N`.
 
 A damaged file must be refused by BitstreamError. It may decode only where lengths and checksums
 were made valid again ("repaired"), and then only to a model within every limit of the header. Any
@@ -148,7 +148,7 @@ def fuzz(count, seed=0, files=None):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(
-        prog="python -m tests.workshop.fuzz", description=__doc__.splitlines()[0]
+        prog="python -m tests.codec.fuzz", description=__doc__.splitlines()[0]
     )
     parser.add_argument(
         "--count", type=int, default=2000, help="number of mutations (default: 2000)"
