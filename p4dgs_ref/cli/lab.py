@@ -12,22 +12,16 @@ from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require_usage, show
 from .job import load
 
-JOBS = os.cpu_count() or 1  # processes of independent trainings
+JOBS = os.cpu_count() or 1  # processes of the short trainings of --suggest
 
 
 def accuracy(arguments):
-    """Time the forms of five functions, and draw their losses against their times."""
+    """Time the forms of four functions, and draw their losses against their times."""
     from ..lab import accuracy as study
-    from ..lab.accuracy import picture, trainings
+    from ..lab.accuracy import picture
 
     with staged_folder(arguments.output) as staging:
-        trained = trainings.read()
-        if arguments.train:
-            tasks = trainings.tasks_of_record()
-            ask(arguments, f"{len(tasks)} trainings", trainings.seconds_of(tasks, JOBS))
-            trained = trainings.make(tasks, JOBS, progress)
-            write_csv(staging / "training.csv", trained)
-        rows = study.measure(trained, progress)
+        rows = study.measure(progress)
         write_csv(staging / "accuracy.csv", rows)
         picture.draw(staging / "accuracy.png", rows)
     print_result(f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png")
@@ -45,9 +39,8 @@ def hard_cases(arguments):
 
 
 def effects(arguments):
-    """Count what the effects of a scene cost; train to tell what they gain."""
+    """Count what the effects of a scene cost, or suggest which ones its pictures call for."""
     from ..lab import effect_ledger
-    from ..lab.accuracy import trainings
 
     require_usage(
         arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest"
@@ -57,12 +50,6 @@ def effects(arguments):
     scene = load(arguments)
     with staged_folder(arguments.output) as staging:
         ledger = effect_ledger.of_scene(scene)
-        if arguments.gain:
-            tasks = effect_ledger.tasks_of(scene)
-            ask(arguments, f"{len(tasks)} trainings", trainings.seconds_of(tasks, JOBS))
-            trained = trainings.make(tasks, JOBS, progress)
-            write_csv(staging / "effects.csv", trained)
-            effect_ledger.add_gains(ledger, trained)
         effect_ledger.draw_ledger(staging / "effects.png", ledger["effects"])
     text = f"{effect_ledger.to_text(ledger)}\npicture: {arguments.output}/effects.png"
     show(arguments, ledger, text)

@@ -259,10 +259,8 @@ GROUPS = {
     "Measure, for those who ask what a choice costs": {
         "accuracy": (
             "lab.accuracy",
-            "what accuracy costs in time: renderers, precision, Eq. (11), noise, iterations",
+            "what accuracy costs in time: renderers, precision, Eq. (11), noise",
             (
-                switch("--train", "make the trainings of the panel `iterations` again"),
-                YES,
                 output(
                     "folder for accuracy.png and accuracy.csv (default report)", default="report"
                 ),
@@ -286,7 +284,6 @@ GROUPS = {
                 SCENE,
                 DOWNSCALE,
                 JSON,
-                switch("--gain", "also measure the gain of each effect by trainings"),
                 switch("--suggest", "only print which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 YES,

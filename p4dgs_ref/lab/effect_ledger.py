@@ -1,16 +1,12 @@
-"""The ledger of effects: the work and the bytes of each effect of a scene, and what it gains.
+"""The ledger of effects: the work and the bytes of each effect of a scene.
 
 Work is that of the networks' layers and of the splats in the tiles of drawn frames. Work and bytes
 are those that would go if this effect alone were switched off: hidden layers that it shares with
 another one stay.
-A gain is measured by trainings, with the list of the scene and with one effect switched, at the
-same seeds. It counts as one where it is larger than twice its standard error.
 """
 
 from collections import Counter
 from dataclasses import replace
-
-import numpy as np
 
 from .. import effects as fx
 from ..model import ANCHOR_NETWORKS, declared_numbers
@@ -21,10 +17,8 @@ from ..splatting.settings import FAST
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watch_calls
-from .writer import text_table, twice_standard_error
+from .writer import text_table
 
-SEEDS = 3
-AS_LISTED = "as listed"
 # Equations that are called only for effects of the view, or of motion.
 ONLY_FOR_EFFECTS = ("view", "positional_encoding", "deformation", "deformed")
 
@@ -114,47 +108,6 @@ def of_scene(scene):
     return {"effects": rows, "never_called": [key for key in ONLY_FOR_EFFECTS if key not in called]}
 
 
-# --- what an effect gains -------------------------------------------------------------------------
-def tasks_of(scene, seeds=SEEDS, preset=TINY):
-    """The trainings that tell what effects gain, in the form of `trainings.make`."""
-    builds = {AS_LISTED: scene}
-    for effect in MODEL_EFFECTS:
-        how = "without" if effect in scene.effects else "with"
-        builds[f"{how} {effect}"] = toggle_effect(scene, effect)
-    return [
-        (label, build, preset, seed) for seed in range(seeds) for label, build in builds.items()
-    ]
-
-
-def gains(rows):
-    """{effect: {"gain": dB with it minus without, "within": twice its standard error}}."""
-    psnr = {}  # {label: {seed: dB}}
-    for row in rows:
-        psnr.setdefault(row["label"], {})[row["seed"]] = row["psnr_db"]
-    found = {}
-    for effect in MODEL_EFFECTS:
-        on, off = psnr[AS_LISTED], psnr.get(f"without {effect}")
-        if off is None:
-            on, off = psnr[f"with {effect}"], on
-        each = [on[seed] - off[seed] for seed in on]
-        within = float(twice_standard_error(each))
-        found[effect] = {"gain": float(np.mean(each)), "within": within}
-    return found
-
-
-def add_gains(ledger, rows):
-    """Add the `gains` of trainings to the rows of a ledger."""
-    found = gains(rows)
-    for row in ledger["effects"]:
-        row |= found[row["effect"]]
-
-
-def gain_text(row):
-    """The gain of a row, as text; one within twice its standard error cannot be told from none."""
-    gain = f"{row['gain']:+.2f} ±{row['within']:.2f}"
-    return f"none ({gain})" if abs(row["gain"]) <= row["within"] else gain
-
-
 # --- the ledger as text and as a picture ----------------------------------------------------------
 def amount(row, kind):
     """The work or the bytes of a row, as text."""
@@ -165,13 +118,12 @@ def amount(row, kind):
 def to_text(result):
     """The ledger as text, a line per effect, and the equations that were never called."""
     columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
-    columns |= {"bytes of weights": "{bytes}", "gain (dB, test views)": "{gain}"}
+    columns |= {"bytes of weights": "{bytes}"}
     cells = [
         {
             "effect": row["effect"],
             "yes": "yes" if row["listed"] else "no",
             **{kind: amount(row, kind) for kind in ("work", "bytes")},
-            **({"gain": gain_text(row)} if "gain" in row else {}),
         }
         for row in result["effects"]
     ]
@@ -181,30 +133,21 @@ def to_text(result):
 
 @figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_ledger(path, rows):
-    """Work, bytes and, where the rows have it, gain of every effect.
+    """Work and bytes of every effect.
 
-    Those that the scene does not list are at zero; in brackets is what they would cost and gain. A
-    gain that is smaller than twice its standard error is drawn as none.
+    Those that the scene does not list are at zero; in brackets is what they would cost.
     """
     panels = {
-        "Work: multiplications of a frame": [(row["work"], amount(row, "work")) for row in rows],
-        "Bytes of its weights (float16)": [(row["bytes"], amount(row, "bytes")) for row in rows],
+        "work": "Work: multiplications of a frame",
+        "bytes": "Bytes of its weights (float16)",
     }
-    if "gain" in rows[0]:
-        panels["Gain: dB with it, minus without"] = [
-            (row["gain"], gain_text(row))
-            if row["listed"]
-            else (0, f"0 ({gain_text(row).partition(' (')[0]} if listed)")
-            for row in rows
-        ]
-    figure, axes = subplots(len(panels), figsize=(4.2, 2.2 * len(panels)))
-    for ax, (title, bars) in zip(axes, panels.items()):
-        for row, (value, text) in zip(rows, bars):
-            value = 0 if text.startswith("none") else value
-            ax.barh(row["effect"], value, color=BLUE)
+    figure, axes = subplots(len(panels), figsize=(4.2, 4.4))
+    for ax, (kind, title) in zip(axes, panels.items()):
+        for row in rows:
+            ax.barh(row["effect"], row[kind], color=BLUE)
             ax.annotate(
-                text,
-                (max(value, 0), row["effect"]),
+                amount(row, kind),
+                (row[kind], row["effect"]),
                 (3, 0),
                 textcoords="offset points",
                 va="center",
@@ -214,6 +157,5 @@ def draw_ledger(path, rows):
         ax.set(xticks=[], xmargin=0.8)
         ax.invert_yaxis()
         ax.spines[["top", "right", "bottom"]].set_visible(False)
-    note = "An effect that the scene does not list is at 0.\n± is twice the standard error."
-    figure.suptitle(note, fontsize=10.5)
+    figure.suptitle("An effect that the scene does not list is at 0.", fontsize=10.5)
     save_figure(figure, path)

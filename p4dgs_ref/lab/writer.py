@@ -2,8 +2,6 @@
 
 import csv
 
-import numpy as np
-
 
 def read_csv(path, texts=("sha256",)):
     """The rows of a CSV without empty fields; what is a number becomes one, except in `texts`."""
@@ -54,9 +52,3 @@ def fill_form(form, row):
         return form.format(**row)
     except (KeyError, TypeError):
         return "-"
-
-
-def twice_standard_error(differences):
-    """Twice the standard error of the mean of some differences; infinite for fewer than two."""
-    count = len(differences)
-    return 2 * np.std(differences, ddof=1) / np.sqrt(count) if count > 1 else np.inf

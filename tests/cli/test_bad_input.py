@@ -294,7 +294,6 @@ LINES = [
     ("demo scene -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("demo bouncing -o report --preset smoke", ("report/metrics.json: exists", "another")),
     ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
-    ("accuracy --train", ("--yes",)),
     ("stability --only H-R", ("--only H-R", "H-R1")),
 ]
 

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from p4dgs_ref.lab.writer import read_csv
+import p4dgs_ref as p4
+from p4dgs_ref.lab.writer import filled, read_csv
 from tutorials.experiments import RECORDS, equal_terms
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve, numbers, steps
-from tutorials.experiments.tables import ablate
+from tutorials.experiments.tables import ablate, effects, training
 from tutorials.experiments.tables.rows import TEXTS
 from tutorials.experiments.tables.writer import means
 
@@ -64,6 +65,18 @@ def is_in(numeral, values):
 def test_the_numbers_are_those_of_the_record(name, kind, text):
     values, found = values_of(name, kind), NUMERAL.findall(re.sub(r"`[^`]*`", "", text))
     assert found and not [one for one in found if not is_in(one, values)]
+
+
+def test_tables_of_lengths_and_effects_are_those_of_the_records():
+    page, found = PAGE.read_text(encoding="utf-8"), []
+    empty = effects.psnr_of_nothing(p4.load_scene("bouncing"))
+    for table in (training, effects):
+        record = read_csv(RECORDS / f"{table.__name__.rpartition('.')[2]}.csv", TEXTS)
+        rows = training.summaries(record) if table is training else effects.summaries(record, empty)
+        for row in rows:
+            cells = [filled(form, row) for form in table.COLUMNS.values()]
+            found.append(f"| {' | '.join(cells)} |")
+    assert [line for line in found if line not in page] == []
 
 
 def test_the_first_page_shows_table_3_beside_the_papers():

@@ -11,7 +11,7 @@ from tests.workshop import demo
 from tutorials.experiments import RECORDS
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve
-from tutorials.experiments.tables import ablate
+from tutorials.experiments.tables import ablate, effects, training
 from tutorials.experiments.tables.rows import KEY, TEXTS, make_row
 
 LONGEST = 150  # seconds of the processor that the row of a day may take
@@ -22,7 +22,17 @@ def ablations():
         yield from ablate.plan(p4.load_scene(name), 3, ablate.ITERATIONS)
 
 
-PLANS = {"beyond_networks": decision.plan, "ablate": ablations, "curve": curve.plan}
+def of_bouncing(table):
+    return lambda: table.plan(p4.load_scene("bouncing"), 3, table.ITERATIONS)
+
+
+PLANS = {
+    "beyond_networks": decision.plan,
+    "ablate": ablations,
+    "curve": curve.plan,
+    "training": of_bouncing(training),
+    "effects": of_bouncing(effects),
+}
 
 
 def rows_of(name):

@@ -1,20 +1,17 @@
-"""The ledger of effects: counted work and bytes, gains, and hidden units that are always zero."""
+"""The ledger of effects: counted work and bytes, and hidden units that are always zero."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from p4dgs_ref.cli import lab as commands
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
 from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab import effect_ledger
-from p4dgs_ref.lab.accuracy import trainings
-from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.model import ANCHOR_NETWORKS
+from p4dgs_ref.report.evaluate import evaluate
 from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
@@ -66,73 +63,6 @@ def test_work_that_effects_share_belongs_to_none_of_them():
     assert +work("view_geometry") == {"view_geometry": 3 * (3 * 4 * 7)}  # of three networks
 
 
-# --- gains ---------------------------------------------------------------------------------------
-def test_trainings_differ_in_one_effect_only():
-    scene = load_scene("glossy")
-    for effect in MODEL_EFFECTS:
-        assert set(effect_ledger.toggle_effect(scene, effect).effects) ^ set(scene.effects) == {
-            effect
-        }
-    labels = [label for label, *_ in effect_ledger.tasks_of(scene, seeds=2)]
-    assert len(labels) == 2 * (1 + len(MODEL_EFFECTS)) and labels[0] == "as listed"
-
-
-def test_a_gain_within_twice_its_standard_error_is_drawn_as_none(monkeypatch):
-    """Effects that are not listed are at zero, whatever they would gain."""
-    rows = []
-    for seed, noise in enumerate((-0.2, 0.1, 0.1)):
-        rows.append({"label": "as listed", "seed": seed, "psnr_db": 30})
-        for effect in MODEL_EFFECTS:
-            label = f"{'with' if effect == 'rotation' else 'without'} {effect}"
-            gain = {"rotation": -5, "occlusion": 4 - noise}.get(effect, noise)
-            rows.append({"label": label, "seed": seed, "psnr_db": 30 - gain})
-    ledger = {
-        "effects": [
-            {"effect": effect, "listed": effect != "rotation", "work": 4, "bytes": 2}
-            for effect in MODEL_EFFECTS
-        ],
-        "never_called": [],
-    }
-    effect_ledger.add_gains(ledger, rows)
-    said = {row["effect"]: effect_ledger.gain_text(row) for row in ledger["effects"]}
-    assert said == {
-        **dict.fromkeys(MODEL_EFFECTS, "none (+0.00 ±0.20)"),
-        "rotation": "+5.00 ±0.00",
-        "occlusion": "+4.00 ±0.20",
-    }
-    assert "+4.00 ±0.20" in effect_ledger.to_text(ledger)
-    figures = []
-    monkeypatch.setattr(effect_ledger, "save_figure", lambda figure, path: figures.append(figure))
-    effect_ledger.draw_ledger(None, ledger["effects"])
-    widths = dict(zip(MODEL_EFFECTS, [bar.get_width() for bar in figures[0].axes[2].patches]))
-    assert widths == {**dict.fromkeys(MODEL_EFFECTS, 0), "occlusion": pytest.approx(4)}
-
-
-@pytest.mark.slow
-def test_gains_are_trained_for_only_where_they_are_asked_for(tmp_path, monkeypatch, capsys):
-    plan = effect_ledger.tasks_of
-    monkeypatch.setattr(effect_ledger, "tasks_of", lambda scene: plan(scene, 2, SHORT))
-    monkeypatch.setattr(commands, "JOBS", 1)
-    arguments = ["effects", "static", "--gain", "-o", str(tmp_path)]
-    assert cli.run(arguments, 0) == 2
-    assert "--yes: expected for 16 trainings" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-    assert cli.run([*arguments, "--yes"], 0) == 0
-    rows = read_csv(tmp_path / "effects.csv")
-    assert len(rows) == 16 and len({row["sha256"] for row in rows}) == 16
-    gain = effect_ledger.gains(rows)["background"]
-    assert f"{gain['gain']:+.2f} ±{gain['within']:.2f}" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_in_two_processes_trainings_are_the_same():
-    scene = load_scene("static", downscale=4)
-    tasks, told = effect_ledger.tasks_of(scene, 1, SHORT)[:3], []
-    one, two = (trainings.make(tasks, jobs, told.append) for jobs in (1, 2))
-    assert [row["sha256"] for row in one] == [row["sha256"] for row in two]
-    assert told == [f"{i} of 3 trainings" for i in (1, 2, 3)] * 2
-
-
 # --- what is always zero -------------------------------------------------------------------------
 @pytest.mark.parametrize("name", few(["static", "figure"], 1))
 def test_silent_units_change_no_picture(name, monkeypatch):
@@ -168,12 +98,14 @@ def test_silent_units_change_no_picture(name, monkeypatch):
 @turn("a static scene")
 def test_static_needs_less_than_with_everything_on():
     """Bytes and quality of `static`, a tenth of a training, over two seeds."""
-    scene, preset = load_scene("static"), trainings.reduced(TINY.iterations // 10)
-    builds = scene, replace(scene, effects=MODEL_EFFECTS)
+    scene, preset = load_scene("static"), replace(TINY, stage_ends=(20, 30, 180, 380))
     psnr = []
     for seed in (0, 1):
-        few, full = (trainings.train(("", build, preset, seed)) for build in builds)
-        assert few["bytes"] <= 0.6 * full["bytes"]
-        psnr.append([few["psnr_db"], full["psnr_db"]])
+        few, full = (
+            encode(Trainer(build, preset, seed).run())
+            for build in (scene, replace(scene, effects=MODEL_EFFECTS))
+        )
+        assert len(few) <= 0.6 * len(full)
+        psnr.append([evaluate(decode(data), scene)[0]["psnr_db"] for data in (few, full)])
     few, full = np.array(psnr).T
     assert np.mean(full - few) <= max(np.ptp(few), np.ptp(full), 1.0)

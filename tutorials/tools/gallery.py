@@ -7,7 +7,6 @@ from p4dgs_ref import output
 from p4dgs_ref.codec.file import decode
 from p4dgs_ref.lab import accuracy, effect_ledger, stability
 from p4dgs_ref.lab.accuracy import picture
-from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.report import figures
 from p4dgs_ref.report.evaluate import compression, evaluate
 from p4dgs_ref.scenes import load_scene
@@ -65,12 +64,11 @@ def draw_architecture(out):
 
 
 def draw_records(out):
-    """Draw the records of accuracy and of effects and the stability maps into the folder `out`."""
+    """Draw the record of accuracy, the maps of stability and the ledger of effects into `out`."""
     rows = accuracy.read(RECORDS / "accuracy.csv")
     picture.draw(out / "accuracy.png", rows)
     picture.draw_front(out / "front_accuracy.png", rows)
     stability.draw_map(out / "stability.png")
     stability.draw_front(out / "front_stability.png")
     ledger = effect_ledger.of_scene(load_scene("bouncing"))
-    effect_ledger.add_gains(ledger, read_csv(RECORDS / "effects.csv"))
     effect_ledger.draw_ledger(out / "effects.png", ledger["effects"])

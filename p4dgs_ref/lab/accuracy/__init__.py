@@ -1,8 +1,8 @@
-"""What accuracy costs in time: five questions, and for each a few forms with time and loss.
+"""What accuracy costs in time: four questions, and for each a few forms with time and loss.
 
-A row has the question, the choice, its loss, the Times of one call (`ms`, its quartiles, and of
-what was timed here the `stretch` of the wall clock), and `arithmetic`. The first choice of a
-question is the reference that the others are compared with.
+A row has the question, the choice, its loss, the Times of one call (`ms`, its quartiles and the
+`stretch` of the wall clock), and `arithmetic`. The first choice of a question is the reference that
+the others are compared with.
 """
 
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 from ...arithmetic import arithmetic
 from ..clock import Times, alternate, differ, disturbance
 from ..writer import group_rows, read_csv, text_table
-from . import forms, trainings
+from . import forms
 
 TURNS = 5  # of every form, at least
 TEXTS = ("question", "choice", "arithmetic")  # the columns of the record without numbers
@@ -21,7 +21,7 @@ TEXTS = ("question", "choice", "arithmetic")  # the columns of the record withou
 class Question(NamedTuple):
     """One panel of the picture."""
 
-    measure: Any  # a function of `forms`; None: the rows are those of trainings
+    measure: Any  # a function of `forms`
     ours: str  # the choice of this project
     answer: str  # the choice that the title of the panel compares with the reference
     loss: str  # form of a row's loss, as text
@@ -67,31 +67,16 @@ QUESTIONS = {
         "% of bits",
         "log",
     ),
-    "iterations": Question(
-        None,
-        "3,800",
-        "1,900",
-        "{loss:.2f} ±{within:.2f} dB less",
-        "PSNR lost (dB)",
-        "dB",
-        "linear",
-    ),
 }
 
 
-def measure(trained, progress=lambda line: None):
-    """The rows of all questions; `trained` are the rows of trainings."""
+def measure(progress=lambda line: None):
+    """The rows of all questions."""
     rows = []
     for name, question in QUESTIONS.items():
         progress(f"accuracy: {name}")
-        found = (
-            trainings.points(trained)
-            if question.measure is None
-            else measure_in_turns(question.measure())
-        )
-        what = trained[0]["arithmetic"] if question.measure is None else arithmetic()
-        for choice, columns in found.items():
-            rows.append({"question": name, "choice": choice, **columns, "arithmetic": what})
+        for choice, columns in measure_in_turns(question.measure()).items():
+            rows.append({"question": name, "choice": choice, **columns, "arithmetic": arithmetic()})
     return rows
 
 
@@ -137,7 +122,7 @@ def duration(ms):
 
 def disturbance_note(rows):
     """A sentence where other programs disturbed what was timed, else nothing."""
-    return disturbance(max(row.get("stretch", 1) for row in rows))
+    return disturbance(max(row["stretch"] for row in rows))
 
 
 def to_text(rows):
@@ -146,10 +131,7 @@ def to_text(rows):
     columns |= {"instead of": "{reference}", "its time": "{was}", "so it is": "{faster}"}
     columns |= {"what is lost": "{lost}"}
     cells = [comparison(row, group[0]) for group in by_question(rows).values() for row in group[1:]]
-    end = (
-        "Times are of one processor; those of trainings and their losses are medians and means of "
-        "three seeds, ± twice the standard error."
-    )
+    end = "Times are of one processor."
     return "\n".join(
         [*text_table(columns, cells), "", end, *filter(None, [disturbance_note(rows)])]
     )

@@ -10,7 +10,6 @@ NOTE = (
     "quartile to quartile. Where an axis is logarithmic, no error at all is drawn at its foot."
 )
 STYLE = {"font.size": 10, "axes.titlesize": 11, "axes.titleweight": "bold", "figure.dpi": 100}
-FRONT = ("renderer", "Eq. (11)", "noise", "iterations")  # of the small picture
 SMALLEST = 1e-9  # a smaller error is none
 LEFT = ("exact", "mirrored")  # choices with a label to the left, where another one is near
 
@@ -53,11 +52,10 @@ def draw_panel(ax, rows, width):
 @figure_style(STYLE)
 def draw(path, rows):
     """Draw the rows of a run, or of a record."""
-    figure, axes = subplots(3, 2, figsize=(9, 9))
+    figure, axes = subplots(2, 2, figsize=(9, 6.6))
     for ax, group in zip(axes.flat, by_question(rows).values()):
         draw_panel(ax, group, 46)
-    axes.flat[-1].set_axis_off()
-    axes.flat[-1].text(0, 1, fill(f"{NOTE} {disturbance_note(rows)}", 52), va="top")
+    figure.supxlabel(fill(f"{NOTE} {disturbance_note(rows)}", 110), fontsize=10, x=0.02, ha="left")
     save_figure(figure, path)
 
 
@@ -65,8 +63,8 @@ def draw(path, rows):
 def draw_front(path, rows):
     """Draw four panels below each other, for a picture that is shown small."""
     figure, axes = subplots(4, figsize=(4.2, 6.6))
-    for ax, name in zip(axes, FRONT):
-        draw_panel(ax, by_question(rows)[name], 40)
+    for ax, (name, group) in zip(axes, by_question(rows).items()):
+        draw_panel(ax, group, 40)
         ax.set_xlabel("")
         ax.set_ylabel(QUESTIONS[name].unit)
     save_figure(figure, path)

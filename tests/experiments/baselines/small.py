@@ -73,8 +73,3 @@ def random_parameters(method, seed=0, N=9, dtype=np.float64):
     else:
         p["mu_t"][-1] = 9
     return p
-
-
-def model_of(method, p):
-    """The model of some parameters over white."""
-    return MODULES[method].Trainer.kind(p, SMALL[method], np.ones(3))

@@ -85,12 +85,11 @@ def main(words):
     parser = Parser(prog="decision", description=__doc__.partition("\n")[0])
     parser.of_rows("report/coded_networks")
     options = parser.parse_args(words)
-    found = rows(plan(), "beyond_networks", options.folder, options.part, options.jobs)
-    if options.part == (1, 1):
-        print(*table(found), sep="\n")
-        drawn = options.folder / "coded_networks.png"
-        draw(found, drawn)
-        drawn.write_bytes(in_few_bytes(drawn))
+    found = rows(plan(), "beyond_networks", options.folder, options.jobs)
+    print(*table(found), sep="\n")
+    drawn = options.folder / "coded_networks.png"
+    draw(found, drawn)
+    drawn.write_bytes(in_few_bytes(drawn))
 
 
 if __name__ == "__main__":

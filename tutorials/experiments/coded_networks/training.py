@@ -7,8 +7,7 @@ import numpy as np
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
 from p4dgs_ref.training.parameters import Adam, Parameters, learning_rate_at
-from p4dgs_ref.training.presets import TINY, Preset
-from p4dgs_ref.training.progress import Progress
+from p4dgs_ref.training.presets import TINY
 
 from .networks import Layout, initial_log_steps, learned_steps, rounded_networks
 from .positions import snap
@@ -87,12 +86,3 @@ class Trainer(trainer.Trainer):
         model = super().model()
         steps = learned_steps(self.parameters["log_step"], model.networks)
         return CodedModel(**vars(model), steps=steps, position_bits=self.position_bits)
-
-
-def fit(scene, preset: Preset = TINY, seed=0, position_bits=10, stream=None):
-    """Fit a scene and return the Trainer, which has the model and the history."""
-    fitting = Trainer(scene, preset, seed, position_bits)
-    progress = Progress(stream)
-    while fitting.iteration < preset.iterations:
-        progress(fitting, *fitting.step())
-    return fitting

@@ -29,9 +29,7 @@ An encoder may choose t, r and c. This one changes them in turn, until nothing c
 four times each, to those that need the fewest bits, with r and c from -6 to 6.
 
 Worked numbers of networks. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is
--0.3046875. With t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols. In the
-stream `coded_ten_bits` the section context_mlps begins with the bytes 60 10 50 11: the
-first W has the step 96 and t = 8, its b the step 80 and t = 9.
+-0.3046875. With t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols.
 """
 
 from functools import cache

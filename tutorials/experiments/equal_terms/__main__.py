@@ -10,7 +10,6 @@ import p4dgs_ref
 
 p4dgs_ref.prepare()  # before NumPy
 
-from p4dgs_ref.lab.writer import group_rows  # noqa: E402
 from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
 from .. import PICTURES  # noqa: E402
@@ -18,30 +17,15 @@ from ..tables.rows import Parser, rows, run  # noqa: E402
 from . import curve, numbers, picture, steps  # noqa: E402
 
 
-def estimate(tasks, name):
-    """Print how many trainings the record lacks, and how long they take by those that it has."""
-    known = curve.recorded(name)
-    missing = {task.training: task for task in tasks if task.key not in known}
-    seconds = {
-        method: max(row["train_seconds"] for row in group)
-        for (method,), group in group_rows(known.values(), "method").items()
-    }
-    longest = sum(seconds.get(task.method, 300) for task in missing.values())
-    print(f"{len(missing)} trainings are missing, at most {longest / 3600:.1f} hours of one core")
-
-
 def main(words):
     """Make what is missing; with --show, print and draw the record as it is."""
     parser = Parser(prog="equal_terms", description="Every method on equal terms.")
     parser.of_rows("report/equal_terms")
     parser.add_argument("study", choices=("curve",))
-    parser.add_argument("--estimate", action="store_true", help="say how long it takes, and stop")
     parser.add_argument("--show", action="store_true", help="print and draw the record as it is")
     options = parser.parse_args(words)
-    if options.estimate:
-        estimate(curve.plan(), options.study)
-    elif not options.show:
-        rows(curve.plan(), options.study, options.folder, options.part, options.jobs)
+    if not options.show:
+        rows(curve.plan(), options.study, options.folder, options.jobs)
         print(f"to extend the record, copy {options.folder}/{options.study}.csv over it")
     else:
         curve.tell(curve.read())

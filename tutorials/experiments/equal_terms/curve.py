@@ -1,6 +1,6 @@
 """PSNR against bytes: every method over its own size, as its authors store it and coded alike.
 
-    python -m tutorials.experiments.equal_terms curve [--part I/N] [--estimate]
+    python -m tutorials.experiments.equal_terms curve
 
 makes the rows that `records/curve.csv` lacks, prints how the methods compare, and draws them. Files
 are stored as the authors of a method store them, in float16, or coded alike (`coded`). A method's

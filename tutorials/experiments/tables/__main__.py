@@ -1,4 +1,4 @@
-"""`python -m tutorials.experiments.tables compare bouncing` and `... ablate bouncing`."""
+"""`python -m tutorials.experiments.tables compare bouncing`, or ablate, training, effects."""
 
 import sys
 
@@ -8,16 +8,16 @@ p4dgs_ref.prepare()  # before NumPy
 
 from p4dgs_ref.scenes import load_scene  # noqa: E402
 
-from . import ablate, compare  # noqa: E402
+from . import ablate, compare, effects, training  # noqa: E402
 from .rows import Parser, count, rows, run  # noqa: E402
 
-TABLES = {"compare": compare, "ablate": ablate}
+TABLES = {"compare": compare, "ablate": ablate, "training": training, "effects": effects}
 QUICK = {"seeds": 1, "iterations": 100}
 
 
 def main(words):
-    """Make the missing rows of a table and print it; of a part, only make them."""
-    parser = Parser(prog="tables", description="The paper's tables 1 to 3 on a tiny scene.")
+    """Make the missing rows of a table and print it."""
+    parser = Parser(prog="tables", description="Tables of trainings on a tiny scene.")
     parser.add_argument("table", choices=TABLES)
     parser.add_argument("scene")
     parser.add_argument("--seeds", type=count, default=3)
@@ -30,9 +30,8 @@ def main(words):
     if options.quick:
         seeds, iterations = QUICK.values()
     tasks = table.plan(scene, seeds, iterations)
-    found = rows(tasks, options.table, options.folder, options.part, options.jobs)
-    if options.part == (1, 1):
-        table.show(scene, tasks, found, options.folder)
+    found = rows(tasks, options.table, options.folder, options.jobs)
+    table.show(scene, tasks, found, options.folder)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.lab.writer import group_rows, text_table, twice_standard_error
+from p4dgs_ref.lab.writer import group_rows, text_table
 from p4dgs_ref.model import CONTEXT_NETWORKS, Anchors, Design, Model, bounding_box
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import TINY
@@ -25,7 +25,7 @@ from p4dgs_ref.training.trainer import Trainer
 
 from ..baselines import d3dgs
 from .methods import PAPERS, columns, preset_of, save, task_of
-from .writer import means, seeds_of
+from .writer import means, seeds_of, with_error
 
 ITERATIONS = 6500
 NETWORK, WHOLE = "+ compact deformation MLP", "+ quantisation and entropy coding"
@@ -122,17 +122,9 @@ def summaries(found):
         row["paper"] = PAPER.get(name, "-")
         if name != names[0]:
             pairs = [*zip(of_steps[name], of_steps[before.get(name, WHOLE)])]
-            row["percent"] = change([100 * (a["bytes"] / b["bytes"] - 1) for a, b in pairs])
-            row["gain"] = change([a["psnr_db"] - b["psnr_db"] for a, b in pairs])
+            row["percent"] = with_error([100 * (a["bytes"] / b["bytes"] - 1) for a, b in pairs])
+            row["gain"] = with_error([a["psnr_db"] - b["psnr_db"] for a, b in pairs])
         yield row
-
-
-def change(each):
-    """The mean of the changes of each seed, in words."""
-    mean, text = np.mean(each), f"{np.mean(each):+.2f}"
-    if len(each) == 1:
-        return f"{text} ?"
-    return text if abs(mean) > twice_standard_error(each) else f"none ({text})"
 
 
 # --- plain files ----------------------------------------------------------------------------------

@@ -6,17 +6,15 @@
         return {"network_bytes": 9085}
 
     task = Task(scene, "p4dgs", 0, 3800, make, load, "p4dgs", "python -m ...")
-    rows([task], "curve", Path("report/curve"), part=(1, 4), jobs=2)
+    rows([task], "curve", Path("report/curve"), jobs=2)
 
-What a record in `records/` or a file `curve.*csv` of the folder has already is not made again. All
-rows of the tasks are written to `curve.csv` in the folder, behind those of other tasks, after each
-training; those of part I of N to `curve.IofN.csv`, which a later call without parts collects. To
-extend a record, copy this file over it. A row is known by its KEY; it has the first digits of its
-file's sha256, its command and the arithmetic with which it was made.
+What a record in `records/` or `curve.csv` in the folder has already is not made again. All rows of
+the tasks are written to `curve.csv` in the folder, behind those of other tasks, after each
+training. To extend a record, copy this file over it. A row is known by its KEY; it has the first
+digits of its file's sha256, its command and the arithmetic with which it was made.
 
 One training may give several files: the `source` of such a task is the task of its training, and
-`make` gets the model in its file, otherwise None. All tasks of a training are in the same part and
-process.
+`make` gets the model in its file, otherwise None. All tasks of a training are in the same process.
 """
 
 import argparse
@@ -85,8 +83,8 @@ class Task(NamedTuple):
         return (self.source or self).key
 
 
-def rows(tasks, name, folder, part=(1, 1), jobs=1):
-    """The rows of the tasks in a part, in their order; those that are missing are made.
+def rows(tasks, name, folder, jobs=1):
+    """The rows of the tasks, in their order; those that are missing are made.
 
     Raises SceneError where a scene has no test views, and OutputError for a folder in which
     nothing can be written.
@@ -94,21 +92,17 @@ def rows(tasks, name, folder, part=(1, 1), jobs=1):
     for task in tasks:
         if not task.scene.test:
             raise SceneError(f"scene {task.scene.name}", "split 'test': no views to measure on")
-    i, n = part
-    trainings = list(dict.fromkeys(task.training for task in tasks))[i - 1 :: n]
-    own = [task for task in tasks if task.training in trainings]
-    path = folder / (f"{name}.csv" if n == 1 else f"{name}.{i}of{n}.csv")
-    known = {}
-    for place in (RECORDS, folder):
-        for file in sorted(place.glob(f"{name}.*csv")):
-            known |= keyed(read_csv(file, TEXTS))
-    groups = {}
-    for task in own:
+    path = folder / f"{name}.csv"
+    recorded, made = (
+        keyed(read_csv(file, TEXTS)) if file.exists() else {}
+        for file in (RECORDS / path.name, path)
+    )
+    known, groups = recorded | made, {}
+    for task in tasks:
         if task.key not in known:
             groups.setdefault(task.training, []).append((task, folder))
-    keys = [task.key for task in own]
-    others = keyed(read_csv(path, TEXTS)) if path.exists() else {}
-    others = [row for key, row in others.items() if key not in keys]
+    keys = [task.key for task in tasks]
+    others = [row for key, row in made.items() if key not in keys]
 
     def keep():
         with output.replaced(path) as place:
@@ -187,9 +181,6 @@ class Parser(argparse.ArgumentParser):
         """Add the options of what makes rows in a folder."""
         self.add_argument("-o", dest="folder", type=Path, default=Path(folder), metavar="FOLDER")
         self.add_argument("--jobs", type=count, default=1, help="processes")
-        self.add_argument(
-            "--part", type=share, default=(1, 1), metavar="I/N", help="of a job array"
-        )
 
 
 def count(text):
@@ -197,14 +188,6 @@ def count(text):
     if not re.fullmatch(r"0*[1-9]\d{0,8}", text):
         raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, got {text!r}")
     return int(text)
-
-
-def share(text):
-    """The pair (I, N) of `--part`."""
-    i, n = map(count, text.split("/")) if text.count("/") == 1 else (1, 0)
-    if i > n:
-        raise argparse.ArgumentTypeError(f"expected I/N with I from 1 to N, got {text!r}")
-    return i, n
 
 
 def run(function, *arguments):

@@ -81,3 +81,13 @@ def bytes_at(points, psnr):
     """The bytes at which a curve has a PSNR; NaN where it was not measured."""
     sizes, values = front(points).T
     return float(np.exp(np.interp(psnr, values, np.log(sizes), np.nan, np.nan)))
+
+
+def with_error(differences):
+    """The mean of some differences with twice its standard error, as text."""
+    mean, count = np.mean(differences), len(differences)
+    if count == 1:
+        return f"{mean:+.2f} ?"
+    error = 2 * np.std(differences, ddof=1) / np.sqrt(count)
+    text = f"{mean:+.2f} ±{error:.2f}"
+    return text if abs(mean) > error else f"none ({text})"
