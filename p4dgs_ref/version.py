@@ -1,3 +1,3 @@
-"""The version of the package, as in setup.cfg."""
+"""The version of the package, which setup.cfg reads here without an import."""
 
 __version__ = "1.0.0"

@@ -1,6 +1,5 @@
 """Pages are true: their programs print what they show, their links lead somewhere, figures hold."""
 
-import configparser
 import json
 import re
 import runpy
@@ -129,11 +128,3 @@ def test_the_demo_gives_its_file_again(file):
     if not kept["arithmetic"].endswith(kernels()):
         pytest.skip(f"the demo had {kept['arithmetic']}; other kernels lead to another file")
     assert demo.sha256(demo.file()) == kept["tiny"], demo.with_what()
-
-
-def test_the_version_is_that_of_the_package():
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg")
-    assert setup["metadata"]["version"] == p4.__version__
-    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\nversion: {p4.__version__}\n" in citation
