@@ -79,7 +79,7 @@ class EncodeError(ValueError):
     """A model that the format cannot hold; the message names the array and what was expected."""
 
 
-def require(holds, section, offset, message):
+def expect(holds, section, offset, message):
     """Raise BitstreamError unless a condition holds."""
     if not holds:
         raise BitstreamError(section, offset, message)
@@ -121,7 +121,7 @@ def read_container(data):
     for name, _, _, crc in rows:
         computed = zlib.crc32(sections[name])
         message = f"checksum {computed:08x}, the section table says {crc:08x}"
-        require(computed == crc, name, 0, message)
+        expect(computed == crc, name, 0, message)
     return sections
 
 
@@ -138,13 +138,13 @@ def layout(data):
 def require_magic(data, size):
     """Refuse a file of `size` bytes that is too short or does not begin with the magic number."""
     least = FIXED.size + CRC.size
-    require(
+    expect(
         min(len(data), size) >= least,
         "container",
         len(data),
         f"not a P-4DGS file: expected at least {least} bytes",
     )
-    require(
+    expect(
         data[:8] == MAGIC,
         "container",
         0,
@@ -158,22 +158,22 @@ def read_table(data, size):
     `data` are the first LONGEST_FRAME bytes or more of a file of `size` bytes.
     """
     require_magic(data, size)
-    require(data[8] == VERSION, "container", 8, f"version {data[8]}, expected {VERSION}")
+    expect(data[8] == VERSION, "container", 8, f"version {data[8]}, expected {VERSION}")
     _, _, count, total = FIXED.unpack_from(data)
-    require(
+    expect(
         count <= len(SECTIONS),
         "container",
         9,
         f"{count} sections, expected at most {len(SECTIONS)}",
     )
-    require(
+    expect(
         total == size <= MAX_FILE_BYTES,
         "container",
         10,
         f"total length {total}, expected the file's {size} bytes, at most {MAX_FILE_BYTES}",
     )
     end = FIXED.size + ROW.size * count
-    require(
+    expect(
         CRC.pack(zlib.crc32(data[:end])) == data[end : end + CRC.size],
         "container",
         end,
@@ -182,7 +182,7 @@ def read_table(data, size):
     rows, start, last = [], end + CRC.size, 0
     for row in range(FIXED.size, end, ROW.size):
         number, length, crc = ROW.unpack_from(data, row)
-        require(
+        expect(
             last < number <= len(SECTIONS),
             "container",
             row,
@@ -190,7 +190,7 @@ def read_table(data, size):
         )
         rows.append((SECTIONS[number - 1], start, length, crc))
         start, last = start + length, number
-    require(
+    expect(
         start == total,
         "container",
         FIXED.size,

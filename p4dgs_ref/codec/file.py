@@ -100,8 +100,8 @@ from .container import (
     SECTIONS,
     BitstreamError,
     EncodeError,
+    expect,
     read_container,
-    require,
     write_container,
 )
 from .context import coding_context
@@ -177,7 +177,7 @@ def quantised_of(sections):
 
     Raises BitstreamError, which names section and byte.
     """
-    require("header" in sections, "header", 0, "section is missing")
+    expect("header" in sections, "header", 0, "section is missing")
     design, A, background = read_header(sections["header"])
     check_work(design, A, sum(map(len, sections.values())))
     check_presence(sections, design.layers())
@@ -215,9 +215,9 @@ def check_presence(sections, layers):
     """Refuse a file that lacks a section or has one that its scene does not need."""
     for name in SECTIONS:
         needed = name not in NETWORK_SECTIONS or layers.keys() & NETWORK_SECTIONS[name]
-        require(name in sections or not needed, name, 0, "section is missing")
+        expect(name in sections or not needed, name, 0, "section is missing")
         unneeded = "scene lists no effect that needs this section"
-        require(needed or name not in sections, name, 0, unneeded)
+        expect(needed or name not in sections, name, 0, unneeded)
 
 
 def read_symbols(data, name, ctx, columns, kept):

@@ -56,7 +56,7 @@ from ..limits import (
 )
 from ..model import CONTEXT_NETWORKS, Design, declared_numbers, over_limits
 from ..scenes.scene import MODEL_EFFECTS
-from .container import require
+from .container import expect
 
 AXES = ("xyz", "xy", "xz", "yz")
 MAX_DIGITS = 100  # of an integer that is read as one; every limit has fewer
@@ -117,7 +117,7 @@ def check_work(design, anchors, size):
 
 def require_header(holds, message):
     """Refuse the header unless a condition holds."""
-    require(holds, "header", 0, message)
+    expect(holds, "header", 0, message)
 
 
 def field(holds, expected, convert=lambda value: value):

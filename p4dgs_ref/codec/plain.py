@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .container import require, require_encodable
+from .container import expect, require_encodable
 
 MAX_BOX = 1e30  # of a coordinate, so that extents are finite in float32
 BOX = f"lo <= hi, finite, within +-{MAX_BOX:g}"  # what the box of a file must be
@@ -24,7 +24,7 @@ def read_positions(data, A):
     """The box, two float32 arrays [3], and the positions [A, 3] int64."""
     size = BOX_BYTES + 6 * A
     message = f"expected {size} bytes for {A} anchors, found {len(data)}"
-    require(len(data) == size, "positions", len(data), message)
+    expect(len(data) == size, "positions", len(data), message)
     positions = np.frombuffer(data, "<u2", offset=BOX_BYTES)
     return read_box(data), positions.astype(np.int64).reshape(A, 3)
 
@@ -37,7 +37,7 @@ def write_box(box):
 def read_box(data):
     """The corners lo and hi [3] of the box at the beginning of the section positions."""
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
-    require(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
+    expect(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
     return lo, hi
 
 
@@ -85,8 +85,8 @@ def write_networks(networks):
 def read_networks(data, section, shapes):
     """The networks {name: (weights, biases)} of a section, float64."""
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
-    require(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
+    expect(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2")
     finite = np.isfinite(numbers)  # before the cast, which a signalling NaN makes warn on ARM
-    require(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
+    expect(finite.all(), section, 2 * int(finite.argmin()), "expected finite weights")
     return networks_of(numbers.astype(float), shapes)

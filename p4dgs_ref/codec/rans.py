@@ -74,7 +74,7 @@ from itertools import cycle
 
 import numpy as np
 
-from .container import BitstreamError, require
+from .container import BitstreamError, expect
 
 PRECISION, WORD, LOWEST = 24, 32, 1 << 31
 # The total of a table's frequencies; masks of the bits of a slot and of a word.
@@ -214,7 +214,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
         states, words = open_lanes(x, lanes, words)
         pop_rows = pop_rows or pop_rows_fast
         states, words = pop_rows(states, words, tables[:left], keys, entries[:left])
-        require(
+        expect(
             all(state >> 31 == 1 for state in states[1:]),
             section,
             end - 4 * len(words),
@@ -226,8 +226,8 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     except IndexError:  # of an empty stack
         raise BitstreamError(section, len(data), "the data end before the last symbol") from None
     end -= 4 * len(words)
-    require(x == LOWEST, section, end, f"lane 0 ends in state {x}, not in {LOWEST}")
-    require(len(words) <= unread, section, end, "the tail leaves a word that a lane gave back")
+    expect(x == LOWEST, section, end, f"lane 0 ends in state {x}, not in {LOWEST}")
+    expect(len(words) <= unread, section, end, "the tail leaves a word that a lane gave back")
     return entries, end
 
 
@@ -236,22 +236,22 @@ def read_head(data, at, count, section):
     first = data[at] if len(data) > at else 0
     lanes, size = 1 << (first & 15), 8 if first & 0x80 else 4
     start = at + (5 if lanes > 1 else 1) + size
-    require(len(data) >= start, section, len(data), "the data end before the first symbol")
-    require(
+    expect(len(data) >= start, section, len(data), "the data end before the first symbol")
+    expect(
         not first & 0x70 and lanes <= MAX_LANES,
         section,
         at,
         f"lane byte {first:#04x} is not in use",
     )
     tail = int.from_bytes(data[at + 1 : at + 5], "little") if lanes > 1 else count
-    require(
+    expect(
         0 < tail <= count and (count - tail) % lanes == 0,
         section,
         at + 1,
         f"a tail of {tail} of {count} symbols does not fit {lanes} lanes",
     )
     x = int.from_bytes(data[start - size : start], "little")
-    require(
+    expect(
         LOWEST <= x < 1 << 63 and (size == 4 or x > LOW_WORD),
         section,
         start - size,

@@ -55,7 +55,7 @@ The bits 1 1 1 0 have f = 12582912, and their stream is 00 00 C0 00  80 00 00 40
 import numpy as np
 
 from . import rans
-from .container import require
+from .container import expect
 from .gaussian_table import CHUNK, PRECISION, gaussian_model
 
 MAX_SYMBOL = 2**31  # magnitude of a coded number
@@ -93,7 +93,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None):
     pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
     symbols, at = np.empty(len(entries), np.int64), 8 * start
     end = at + sum(int(model.low[model.table[rows]].sum()) for rows in pieces)
-    require(end <= 8 * len(data), section, len(data), "the data end before the last raw bit")
+    expect(end <= 8 * len(data), section, len(data), "the data end before the last raw bit")
     for rows in pieces:
         table = model.table[rows]
         place, widths = entries[rows] - model.first[table], model.low[table]
@@ -103,7 +103,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None):
         low = raw_bits(data, at, at + int(widths.sum()))
         symbols[rows] = (model.lowest[rows] + place << widths) + unpack_fields(low, widths)
         at += len(low)
-        require(
+        expect(
             np.abs(symbols[rows]).max() <= MAX_SYMBOL,
             section,
             start,
@@ -122,7 +122,7 @@ def raw_bits(data, start, stop):
 def expect_end(data, end, section):
     """Refuse data in which anything but unused zeros follows bit `end`."""
     rest = raw_bits(data, end, min(end + 8, 8 * len(data)))
-    require(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
+    expect(len(rest) < 8 and not rest.any(), section, end // 8, "bits left over")
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
@@ -165,7 +165,7 @@ def read_gammas(data, start, count, section):
     for i in range(count):
         one = text.find(1, at)
         end = 2 * one - at + 1
-        require(
+        expect(
             0 <= one - at <= MAX_GAMMA and end <= len(text),
             section,
             (start + at) // 8,
@@ -222,12 +222,12 @@ def decode_bits(data, count, section="stream"):
     Raises BitstreamError for data that `encode_bits` does not write.
     """
     end = 4 if count else 0
-    require(len(data) >= end, section, len(data), "the data end before the probability")
+    expect(len(data) >= end, section, len(data), "the data end before the probability")
     f = int.from_bytes(data[:end], "little")
-    require(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24, expected at most 1")
+    expect(f <= rans.CERTAIN, section, 0, f"a probability of {f} / 2^24, expected at most 1")
     if f in (0, rans.CERTAIN):
         bits = np.full(count, f == rans.CERTAIN)
     else:
         bits, end = rans.decode(data, np.zeros(count, np.uint8), bit_keys(f), end, section)
-    require(len(data) == end, section, end, f"{len(data) - end} bytes left over")
+    expect(len(data) == end, section, end, f"{len(data) - end} bytes left over")
     return bits.astype(bool)

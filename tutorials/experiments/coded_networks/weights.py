@@ -37,7 +37,7 @@ from functools import cache
 import numpy as np
 
 from p4dgs_ref.codec import rans
-from p4dgs_ref.codec.container import BitstreamError, require
+from p4dgs_ref.codec.container import BitstreamError, expect
 from p4dgs_ref.codec.gaussian_table import CHUNK, SIGMA_BITS, SIGMA_MAX, SIGMA_MIN, gaussian_model
 from p4dgs_ref.codec.plain import networks_of, require_finite
 from p4dgs_ref.codec.streams import (
@@ -105,7 +105,7 @@ def read_networks(data, section, shapes):
     tables = tables_of(np.zeros(sum(lengths), np.int64))
     entries, at = rans.decode(data, tables.table, tables.keys, start, section)
     codes = tables.lowest + entries - tables.first[tables.table]
-    require((codes <= -tables.lowest).all(), section, start, "a code beyond +-13")
+    expect((codes <= -tables.lowest).all(), section, start, "a code beyond +-13")
     codes = iter(np.split(codes, np.cumsum(lengths)))
     scales = []
     for (_, J), (t_W, t_b) in zip(layers, levels):
@@ -114,7 +114,7 @@ def read_networks(data, section, shapes):
         symbols = decode_symbols(data[at:], tables_of(np.concatenate(scales)), section)
     except BitstreamError as error:
         raise BitstreamError(section, at + error.offset, error.message) from None
-    require(
+    expect(
         np.abs(symbols).max(initial=0) <= MAX_STEPS,
         section,
         at,
@@ -128,10 +128,10 @@ def read_head(data, section, layers):
     """The codes of steps and the levels [layers, 2] of W and b, and where the head ends."""
     full = np.array([J > 0 for _, J in layers])
     end = 4 * int(full.sum())
-    require(len(data) >= end, section, len(data), "the data end before the last level")
+    expect(len(data) >= end, section, len(data), "the data end before the last level")
     raw = np.frombuffer(data, np.uint8, end)
     at = 2 * int((raw[1::2] < len(LEVELS)).argmin()) + 1
-    require(raw[at] < len(LEVELS), section, at, f"expected levels of at most {len(LEVELS) - 1}")
+    expect(raw[at] < len(LEVELS), section, at, f"expected levels of at most {len(LEVELS) - 1}")
     head = np.zeros((len(layers), 2, 2), np.int64)
     head[full] = raw.reshape(-1, 2, 2)
     return head[:, :, 0], head[:, :, 1] + LEVELS[0], end
