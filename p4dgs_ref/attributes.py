@@ -25,7 +25,7 @@ class Attribute(NamedTuple):
         return "k" in self.shape
 
     def sizes(self, design):
-        """The shape in numbers, for the d and k of a Design."""
+        """Return the shape in numbers, for the d and k of a Design."""
         return tuple(getattr(design, n) if isinstance(n, str) else n for n in self.shape)
 
 

@@ -8,17 +8,20 @@ HEAD_WIDTHS = (3, 3, 4)
 
 
 def heads(effects):
-    """The widths of the three heads of psi_d, 0 for an effect that the scene does not list."""
+    """Return the widths of the three heads of psi_d, 0 for an effect that is not listed."""
     return tuple(width if effect in effects else 0 for effect, width in zip(MOTION, HEAD_WIDTHS))
 
 
 def moves(effects):
-    """Whether anything moves. Otherwise there is no psi_d, no time, and no Eqs. (5) and (6)."""
+    """Return whether anything moves.
+
+    If nothing does, there is no psi_d, no time, and no Eqs. (5) and (6).
+    """
     return any(heads(effects))
 
 
 def view_width(effects, which):
-    """How many inputs of an anchor network are distance and direction: 4, or 0 without the effect.
+    """Return how many inputs of an anchor network come from the view: 4, or 0 without the effect.
 
     `which` is "view_color" for psi_c, "view_geometry" for the other anchor networks.
     """

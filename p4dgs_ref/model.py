@@ -62,12 +62,12 @@ class Design:
         return self.d, 3, 3, 3 * self.k
 
     def levels(self):
-        """The shape (T, F) of every level of the hash grid."""
+        """Return the shape (T, F) of every level of the hash grid."""
         most = {3: self.table[0], 2: self.table[1]}
         return [(min(res ** len(axes), most[len(axes)]), self.F) for axes, res in self.grid]
 
     def layers(self):
-        """{network: [(rows, columns) of every layer]}; psi_d ends with its three heads."""
+        """Return {network: [(rows, columns) of every layer]}; psi_d ends with its three heads."""
         geometry = self.d + fx.view_width(self.effects, "view_geometry")
         color_inputs = self.d + fx.view_width(self.effects, "view_color")
         h = len(self.grid) * self.F
@@ -89,7 +89,7 @@ class Design:
 
 
 def declared_numbers(design, anchors):
-    """How many numbers a model has: {"anchors": ..., "grid": ..., "networks": ...}."""
+    """Return how many numbers a model has: {"anchors": ..., "grid": ..., "networks": ...}."""
     layers = [layer for network in design.layers().values() for layer in network]
     return {
         "anchors": anchors * (3 + sum(design.widths) + design.k),
@@ -99,7 +99,7 @@ def declared_numbers(design, anchors):
 
 
 def over_limits(design, anchors):
-    """The limit of a file that a model with so many anchors breaks, in words, or "".
+    """Return the limit of a file that a model with so many anchors breaks, in words, or "".
 
     An anchor has at least 14 numbers, so MAX_NUMBERS holds its count below MAX_ANCHORS, too.
     """
@@ -136,34 +136,34 @@ class Gaussians(NamedTuple):
 
 
 def with_backward(equation, *inputs):
-    """The output of an equation's `forward`, and its `backward` bound to what that saved."""
+    """Return the output of an equation's `forward`, and its `backward` bound to what that saved."""
     output, saved = equation.forward(*inputs)
     return output, partial(equation.backward, saved)
 
 
 def concatenate_groups(f, s, l, O):
-    """The numbers of every anchor that are coded, side by side [A, n], n = d + 3 + 3 + 3k."""
+    """Return the coded numbers of every anchor side by side [A, n], n = d + 3 + 3 + 3k."""
     return np.concatenate([f, s, l, O.reshape(len(O), -1)], axis=1)
 
 
 def join(anchors):
-    """The coded attributes of every anchor side by side [A, n]."""
+    """Return the coded attributes of every anchor side by side [A, n]."""
     return concatenate_groups(anchors.f_a, anchors.s_a, anchors.l_a, anchors.O_a)
 
 
 def groups(values, design):
-    """The columns [A, width] of each group in values [A, n], as views."""
+    """Return the columns [A, width] of each group in values [A, n], as views."""
     return np.split(values, np.cumsum(design.widths)[:-1], axis=1)
 
 
 def split(values, design):
-    """The inverse of `concatenate_groups`: f [A, d], s, l [A, 3] and O [A, k, 3], as views."""
+    """Invert `concatenate_groups`: return f [A, d], s, l [A, 3] and O [A, k, 3], as views."""
     f, s, l, O = groups(values, design)
     return f, s, l, O.reshape(len(O), design.k, 3)
 
 
 def move(design, networks, x, s, r, t):
-    """Temporal prediction: canonical Gaussians at time t (Eqs. 5 and 6).
+    """Predict in time: canonical Gaussians become those at time t (Eqs. 5 and 6).
 
     Return (x_t, s_t, r_t) and `back`, which gives the gradients of x, s, r and of the networks.
     No gradient flows from E(x) back into x (Q10).
@@ -182,7 +182,7 @@ def move(design, networks, x, s, r, t):
 
 
 def predict(design, networks, anchors, x_c, t=None):
-    """Spatial, then temporal prediction (P-4DGS Fig. 1, Eqs. 1 to 6).
+    """Predict in space, then in time (P-4DGS Fig. 1, Eqs. 1 to 6).
 
     `networks` is {name: (weights, biases)}. Without t, as in stages 1 and 2 of training, the
     Gaussians are the canonical ones. Return
@@ -245,7 +245,7 @@ def predict(design, networks, anchors, x_c, t=None):
 
 
 def bounding_box(x_a):
-    """The corners lo and hi [3] of the anchors' box, as float32 because a file stores them so."""
+    """Return the corners lo and hi [3] of the anchors' box, as float32 because a file has those."""
     return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
 
 
@@ -259,13 +259,13 @@ def snap(x_a, lo, hi):
 
 
 def share_of(x_a, lo, hi):
-    """Positions [A, 3] as shares of the box, from 0 at lo to 1 at hi; 0 where lo = hi."""
+    """Return positions [A, 3] as shares of the box, from 0 at lo to 1 at hi; 0 if lo = hi."""
     lo, extent = lo.astype(float), hi.astype(float) - lo
     return (np.clip(x_a, lo, hi) - lo) / np.where(extent > 0, extent, 1)
 
 
 def unsnap(symbols, lo, hi):
-    """Positions (float64) of lattice symbols [A, 3], integers from 0 to 65535."""
+    """Return the positions (float64) of lattice symbols [A, 3], integers from 0 to 65535."""
     return lo.astype(float) + symbols * ((hi.astype(float) - lo) / LATTICE)
 
 
@@ -278,7 +278,7 @@ class Context(NamedTuple):
 
 
 def context(design, networks, grids, located):
-    """Hash grid, adaptive steps and prior (P-4DGS Fig. 2, Eqs. 9, 8 and 12).
+    """Predict steps, means and deviations from the hash grid (P-4DGS Fig. 2, Eqs. 9, 8 and 12).
 
     `located` is what `hash_grid.locate` returns for the positions. Return the Context and
     back(q_bar, mu_bar, sigma_bar), which gives the gradients of the grids, a list, and those of the
@@ -313,7 +313,7 @@ class Model:
         return len(self.anchors.mask)
 
     def gaussians(self, t: float | None, camera: Camera) -> Gaussians:
-        """The Gaussians at time t in [0, 1] for this camera; None gives the canonical ones.
+        """Return the Gaussians at time t in [0, 1] for this camera; None gives the canonical ones.
 
         Raises ValueError for a time that is NaN or infinite.
         """
@@ -323,7 +323,7 @@ class Model:
         return predict(self.design, self.networks, self.anchors, x_c, t)[0]
 
     def render(self, camera: Camera, t: float, settings: Settings = FAST) -> np.ndarray:
-        """The image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
+        """Return the image [H, W, 3] at time t in [0, 1]. Clip it to [0, 1] before saving it."""
         x, s, r, alpha, color, _ = self.gaussians(t, camera)
         occlusion = "occlusion" in self.design.effects
         (image, *_), _ = render.forward(

@@ -31,7 +31,7 @@ TABLES = {
 
 
 def page():
-    """The format page as text."""
+    """Return the format page as text."""
     texts = {
         **{f"{name}.py": import_module(f".{name}", __package__).__doc__ for name in PARTS},
         **{

@@ -70,7 +70,10 @@ class BitstreamError(ValueError):
     """A file that is damaged, or that no encoder of this version writes."""
 
     def __init__(self, section, offset, message):
-        """`offset` counts bytes from the start of the section, or of the file for "container"."""
+        """Keep where the mistake is.
+
+        `offset` counts bytes from the start of the section, or of the file for "container".
+        """
         super().__init__(f"section {section!r}, byte {offset}: {message}")
         self.section, self.offset, self.message = section, offset, message
 
@@ -92,7 +95,7 @@ def require_encodable(holds, message):
 
 
 def write_container(sections):
-    """The file with these sections, {name: bytes} in any order."""
+    """Return the file with these sections, {name: bytes} in any order."""
     rows = [(i, sections[name]) for i, name in enumerate(SECTIONS, 1) if name in sections]
     total = FIXED.size + ROW.size * len(rows) + CRC.size + sum(len(body) for _, body in rows)
     head = FIXED.pack(MAGIC, VERSION, len(rows), total)
@@ -101,7 +104,7 @@ def write_container(sections):
 
 
 def read_file(path):
-    """The bytes of a file, which are read only after its frame was checked.
+    """Return the bytes of a file, which are read only after its frame was checked.
 
     Raises BitstreamError for a wrong frame, and OSError.
     """
@@ -112,7 +115,7 @@ def read_file(path):
 
 
 def read_container(data):
-    """The sections of a file, {name: memoryview} in its order, after checking every byte.
+    """Return the sections of a file, {name: memoryview} in its order, after checking every byte.
 
     Raises BitstreamError whose `section` is "container" or the section with a wrong checksum.
     """
@@ -126,7 +129,7 @@ def read_container(data):
 
 
 def layout(data):
-    """What every byte of a file belongs to: a list of (name, bytes) whose sum is len(data).
+    """Return what every byte of a file belongs to: a list of (name, bytes) with the sum len(data).
 
     Checks the container header and the section table, but not the checksums of the sections.
     """
@@ -153,7 +156,7 @@ def require_magic(data, size):
 
 
 def read_table(data, size):
-    """The checked rows of the section table: (name, offset in the file, length, CRC-32).
+    """Return the checked rows of the section table: (name, offset in the file, length, CRC-32).
 
     `data` are the first LONGEST_FRAME bytes or more of a file of `size` bytes.
     """

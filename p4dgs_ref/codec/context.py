@@ -163,17 +163,17 @@ class Layer(NamedTuple):
 
 
 def exponent(values):
-    """The least integer p with max |values| < 2^p; 0 where all values are zero."""
+    """Return the least integer p with max |values| < 2^p; 0 if all values are zero."""
     return int(np.frexp(np.abs(values).max(initial=0.0))[1])
 
 
 def round_off(values, s):
-    """values / 2^s rounded to the nearest integer, ties up, where s > 0; integers in float64."""
+    """Return values / 2^s rounded, ties up, if s > 0, else the values; integers in float64."""
     return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
 
 
 def integer_layers(weights, biases):
-    """The layers of a network in integers, from the weights and biases in the file."""
+    """Return the layers of a network in integers, from the weights and biases in the file."""
     layers, bits, X = [], INPUT_BITS, 2**INPUT_BITS
     for W, b in zip(weights, biases):
         n = min(WEIGHT_BITS - exponent(W), BIAS_BITS - exponent(b) - bits, MAX_SCALE)
@@ -190,19 +190,22 @@ def integer_layers(weights, biases):
 
 
 def product(x, W):
-    """x W, exact in any order of summation. Nothing else here calls a library's matrix product."""
+    """Return x W, exact in any order of summation.
+
+    Nothing else here calls a library's matrix product.
+    """
     return x @ W
 
 
 def run_network(x, layers):
-    """The outputs y [A, J] of the last layer for inputs x [A, I] in units of 2^-15, |x| <= 2^15."""
+    """Return the last layer's outputs y [A, J] for x [A, I] in units of 2^-15, |x| <= 2^15."""
     for layer in layers[:-1]:
         x = np.maximum(round_off(product(x, layer.W) + layer.b, layer.s), 0.0)
     return product(x, layers[-1].W) + layers[-1].b
 
 
 def rescale(y, unit, bits, limit):
-    """Outputs y in units of 2^-unit converted to units of 2^-bits, clipped to +-limit: int64."""
+    """Convert outputs y from units of 2^-unit to units of 2^-bits, clipped to +-limit: int64."""
     s = unit - bits
     if s < 0:  # few fractional bits: clip first, so that the multiplication stays exact
         y = np.clip(y, -limit, limit) * 2.0 ** min(-s, 30)
@@ -210,7 +213,7 @@ def rescale(y, unit, bits, limit):
 
 
 def log2(values):
-    """log2 of positive integers in units of 2^-16: the exponent, then a table of 256 steps."""
+    """Return log2 of positive integers in units of 2^-16: exponent, then a table of 256 steps."""
     length = bit_length(values)
     # Shift the leading one to bit 23; the 23 bits after it are 8 of the index and 15 of the rest.
     leading = values << np.maximum(24 - length, 0) >> np.maximum(length - 24, 0)
@@ -227,7 +230,7 @@ class CodingContext(NamedTuple):
 
 
 def hash_feature(positions, grids, design):
-    """h [A, L F] in units of 2^-15 (part 1), integers in float64, of positions [A, 3]."""
+    """Return h [A, L F] in units of 2^-15 (part 1), integers in float64, of positions [A, 3]."""
     features = []
     for (axes, res), grid in zip(design.grid, grids):
         place = positions[:, ["xyz".index(axis) for axis in axes]] * (res - 1)
@@ -243,14 +246,14 @@ def hash_feature(positions, grids, design):
 
 
 def shift(values, S):
-    """floor(values 2^-S + 1/2) clipped to +-MU_LIMIT, for |values| <= 2^52 and S of either sign."""
+    """Return floor(values 2^-S + 1/2) clipped to +-MU_LIMIT; |values| <= 2^52, S of either sign."""
     right, left = np.clip(S, 0, 62), np.clip(-S, 0, 28)
     rounded = (values + (1 << right >> 1)) >> right
     return np.clip(np.clip(rounded, -MU_LIMIT, MU_LIMIT) << left, -MU_LIMIT, MU_LIMIT)
 
 
 def coding_context(design, networks, grids, positions):
-    """The coding context of anchors at positions [A, 3], integers 0 to 65535.
+    """Return the coding context of anchors at positions [A, 3], integers 0 to 65535.
 
     `networks` hold float16 numbers and `grids` +1 and -1, as in the file. P-4DGS Eqs. (8), (9) and
     (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
@@ -266,7 +269,7 @@ def coding_context(design, networks, grids, positions):
 
 
 def context_of(h, psi_q, psi_p, design):
-    """q, mu_units and sigma_units (parts 3 to 6) of some anchors."""
+    """Return q, mu_units and sigma_units (parts 3 to 6) of some anchors."""
     u = rescale(run_network(h, psi_q), psi_q[-1].bits, 12, 2**15)
     v = np.clip(u + (4 << 12), 0, (10 << 12) - 1)
     steps, i, r = lookup_table("sigmoid"), v >> 6, v & 63

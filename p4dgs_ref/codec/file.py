@@ -120,7 +120,7 @@ ATTRIBUTE_SECTIONS = tuple(row.section for row in ATTRIBUTES)
 
 
 def attribute_columns(design):
-    """The columns of `model.join` that each attribute section holds: [(section, slice), ...]."""
+    """Return the columns of `model.join` in each attribute section: [(section, slice), ...]."""
     ends = np.cumsum(design.widths)
     return [
         (name, slice(end - width, end))
@@ -129,7 +129,7 @@ def attribute_columns(design):
 
 
 def sections_of(quantised):
-    """The sections {name: bytes} of a quantised model.
+    """Return the sections {name: bytes} of a quantised model.
 
     Raises EncodeError for a model that decoders refuse because it would cost them too much time.
     """
@@ -157,7 +157,7 @@ def sections_of(quantised):
 
 
 def encode(model: Model) -> bytes:
-    """The file of a model, as bytes. The same model gives the same bytes.
+    """Return the file of a model, as bytes; the same model gives the same bytes.
 
     Raises EncodeError or OverflowError for a number that the format cannot hold.
     """
@@ -165,7 +165,7 @@ def encode(model: Model) -> bytes:
 
 
 def decode(data: bytes) -> Model:
-    """The model in a file, bit for bit the one that `quantise` made of the encoded model.
+    """Return the model in a file, bit for bit what `quantise` made of the encoded model.
 
     Raises BitstreamError, which names section and byte, for a file that is damaged or inconsistent.
     """
@@ -173,7 +173,7 @@ def decode(data: bytes) -> Model:
 
 
 def quantised_of(sections):
-    """The quantised model in the sections of a file, the inverse of `sections_of`.
+    """Return the quantised model in the sections of a file, the inverse of `sections_of`.
 
     Raises BitstreamError, which names section and byte.
     """
@@ -221,14 +221,14 @@ def check_presence(sections, layers):
 
 
 def read_symbols(data, name, ctx, columns, kept):
-    """The coded symbols of one section, in the order of the file."""
+    """Return the coded symbols of one section, in the order of the file."""
     where = kept[:, columns]
     tables = gaussian_model(ctx.mu_units[:, columns][where], ctx.sigma_units[:, columns][where])
     return decode_symbols(data, tables, name)
 
 
 def read_grids(data, design):
-    """The levels [T, F] of the hash grid, +1 and -1."""
+    """Return the levels [T, F] of the hash grid, +1 and -1."""
     shapes = design.levels()
     ends = np.cumsum([T * F for T, F in shapes])
     signs = np.split(decode_bits(data, int(ends[-1]), "hash_grid"), ends[:-1])

@@ -96,13 +96,16 @@ class EntropyModel(NamedTuple):
 
 @cache
 def lookup_table(name):
-    """A table of `tables.json`, int64. The tables are part of the format: do not recompute them."""
+    """Return a table of `tables.json`, int64.
+
+    The tables are part of the format: do not recompute them.
+    """
     tables = json.loads(Path(__file__).with_name("tables.json").read_text(encoding="utf-8"))
     return np.array(tables[name], np.int64)
 
 
 def shape_of(sigma_units):
-    """e, step, low and W of deviations (parts 1 to 4), int64."""
+    """Return e, step, low and W of deviations (parts 1 to 4), int64."""
     e = sigma_units >> SIGMA_BITS
     # ceil(12 * 2^e) is minus the floor of -12 * 2^e; as e >= -8, 2^8 makes every shift go right.
     W = 1 - ((-12 << 8) >> 8 - np.minimum(e, 4))
@@ -110,7 +113,7 @@ def shape_of(sigma_units):
 
 
 def gaussian_model(mu_units, sigma_units):
-    """The EntropyModel of n symbols, from integers mu_units [n] and sigma_units [n].
+    """Return the EntropyModel of n symbols, from integers mu_units [n] and sigma_units [n].
 
     They lie in the ranges above. Symbols with the same deviation and the same place of mu' in its
     block share one table. P-4DGS Eqs. (11) and (12).
@@ -144,7 +147,7 @@ def gaussian_model(mu_units, sigma_units):
 
 
 def keys_of(sigma_units, place):
-    """The keys of a few tables (parts 5 and 6), counted from 0, without the closing one.
+    """Return the keys of a few tables (parts 5 and 6), counted from 0, without the closing one.
 
     `place` is mu' modulo one block, in units of 1/1024 symbol.
     """

@@ -63,14 +63,14 @@ MAX_DIGITS = 100  # of an integer that is read as one; every limit has fewer
 
 
 def write_header(model):
-    """The section's bytes: JSON without spaces, keys in a fixed order."""
+    """Return the section's bytes: JSON without spaces, keys in a fixed order."""
     background = [float(c) for c in model.background]
     fields = {"anchors": len(model.anchors.mask), "background": background, **vars(model.design)}
     return json.dumps(fields, separators=(",", ":")).encode("ascii")
 
 
 def read_header(data):
-    """The design, the number of anchors and the background of a header section.
+    """Return the design, the number of anchors and the background of a header section.
 
     Raises BitstreamError for anything but an object with exactly the fields above, in their ranges.
     """
@@ -121,7 +121,7 @@ def require_header(holds, message):
 
 
 def field(holds, expected, convert=lambda value: value):
-    """A reader that checks a field's value by the condition `holds` and converts it."""
+    """Return a reader that checks a field's value by the condition `holds` and converts it."""
 
     def read(name, value):
         require_header(holds(value), f"field {name!r}: expected {expected}")
@@ -131,7 +131,7 @@ def field(holds, expected, convert=lambda value: value):
 
 
 def integer(most):
-    """The reader of an integer field from 1 to `most`."""
+    """Return the reader of an integer field from 1 to `most`."""
     return field(  # a bool has another type
         lambda value: type(value) is int and 1 <= value <= most,
         f"a whole number from 1 to {most}",
@@ -139,12 +139,12 @@ def integer(most):
 
 
 def whole_number(digits):
-    """The integer that is written, or the nearest double where it has too many digits."""
+    """Return the integer that is written, or the nearest double if it has too many digits."""
     return int(digits) if len(digits) < MAX_DIGITS else float(digits)
 
 
 def real(least, most):
-    """The reader of a number whose nearest double is in a range."""
+    """Return the reader of a number whose nearest double is in a range."""
     return field(  # false for NaN
         lambda value: type(value) in (int, float) and least <= float(value) <= most,
         f"a number from {least:g} to {most:g}",
@@ -153,7 +153,7 @@ def real(least, most):
 
 
 def list_of(read_item, least, most):
-    """The reader of a list of `least` to `most` items."""
+    """Return the reader of a list of `least` to `most` items."""
     a_list = field(
         lambda values: isinstance(values, list) and least <= len(values) <= most,
         f"a list of {most if least == most else f'{least} to {most}'}",
@@ -162,7 +162,7 @@ def list_of(read_item, least, most):
 
 
 def level(name, value):
-    """Reads a level of the hash grid, [axes, resolution]."""
+    """Read a level of the hash grid, [axes, resolution]."""
     require_header(
         isinstance(value, list) and len(value) == 2 and value[0] in AXES,
         f"field {name!r}: expected [axes, resolution] with axes {', '.join(AXES)}",

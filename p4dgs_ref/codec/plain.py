@@ -10,18 +10,18 @@ BOX_BYTES = 24
 
 
 def valid_box(lo, hi):
-    """Whether a file may hold this box; False for NaN."""
+    """Return whether a file may contain this box; False for NaN."""
     # The float32 next to 1e30 is larger than 1e30, hence < and not <=.
     return (np.abs([lo, hi]) < np.float32(MAX_BOX)).all() and (lo <= hi).all()
 
 
 def write_positions(model, positions):
-    """The box, and the positions [A, 3] as uint16."""
+    """Return the box, and the positions [A, 3] as uint16."""
     return write_box(model.box) + positions.astype("<u2").tobytes()
 
 
 def read_positions(data, A):
-    """The box, two float32 arrays [3], and the positions [A, 3] int64."""
+    """Return the box, two float32 arrays [3], and the positions [A, 3] int64."""
     size = BOX_BYTES + 6 * A
     message = f"expected {size} bytes for {A} anchors, found {len(data)}"
     expect(len(data) == size, "positions", len(data), message)
@@ -30,19 +30,19 @@ def read_positions(data, A):
 
 
 def write_box(box):
-    """The corners lo and hi [3] of the box, with which the section positions begins."""
+    """Return the corners lo and hi [3] of the box, with which the section positions begins."""
     return np.concatenate(box).astype("<f4").tobytes()
 
 
 def read_box(data):
-    """The corners lo and hi [3] of the box at the beginning of the section positions."""
+    """Return the corners lo and hi [3] of the box at the beginning of the section positions."""
     lo, hi = np.frombuffer(data, "<f4", 6).astype(np.float32).reshape(2, 3)
     expect(valid_box(lo, hi), "positions", 0, f"expected a box with {BOX}")
     return lo, hi
 
 
 def round_networks(model):
-    """The networks with all numbers rounded to float16 (Q18), float64 arrays in row order.
+    """Return the networks with all numbers rounded to float16 (Q18), float64 arrays in row order.
 
     Raises EncodeError, which names the network.
     """
@@ -62,13 +62,13 @@ def require_finite(name, pair, expected):
 
 
 def network_numbers(networks):
-    """Weights and biases of some networks in the order of the file, as one array."""
+    """Return weights and biases of some networks in the order of the file, as one array."""
     layers = [layer for network in networks.values() for layer in zip(*network)]
     return np.concatenate([array.ravel() for pair in layers for array in pair])
 
 
 def networks_of(numbers, shapes):
-    """The networks {name: (weights, biases)} from the shapes of their layers and their numbers."""
+    """Return {name: (weights, biases)} from the shapes of layers and the numbers of networks."""
     sizes = [size for network in shapes.values() for I, J in network for size in (I * J, J)]
     arrays, networks = iter(np.split(numbers, np.cumsum(sizes))), {}
     for name, network in shapes.items():
@@ -78,12 +78,12 @@ def networks_of(numbers, shapes):
 
 
 def write_networks(networks):
-    """All numbers of some networks as float16."""
+    """Return all numbers of some networks as float16."""
     return network_numbers(networks).astype("<f2").tobytes()
 
 
 def read_networks(data, section, shapes):
-    """The networks {name: (weights, biases)} of a section, float64."""
+    """Return the networks {name: (weights, biases)} of a section, float64."""
     size = 2 * sum((I + 1) * J for network in shapes.values() for I, J in network)
     expect(len(data) == size, section, len(data), f"expected {size} bytes, found {len(data)}")
     numbers = np.frombuffer(data, "<f2")

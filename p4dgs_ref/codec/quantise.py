@@ -25,7 +25,7 @@ class Quantised(NamedTuple):
 
 
 def coded_columns(mask, design):
-    """Which columns of `model.join` a file holds [A, n]: all but the numbers of masked children."""
+    """Return which columns of `model.join` are coded [A, n]: not the numbers of masked children."""
     parts = zip(ATTRIBUTES, design.widths)
     return np.concatenate(
         [
@@ -39,7 +39,7 @@ def coded_columns(mask, design):
 
 
 def dequantise(symbols, ctx, design):
-    """f, s, l and O [A, k, 3] from symbols [A, n]: symbol times step."""
+    """Return f, s, l and O [A, k, 3] from symbols [A, n]: symbol times step."""
     values = np.empty(symbols.shape)
     for i, (part, out) in enumerate(zip(groups(symbols, design), groups(values, design))):
         np.multiply(part, ctx.q[:, i : i + 1], out=out)
@@ -47,7 +47,7 @@ def dequantise(symbols, ctx, design):
 
 
 def quantise(model):
-    """Round a model to what its file will hold. P-4DGS Eq. (10); choices Q14, Q15, Q18, Q19.
+    """Round a model to what its file will contain. P-4DGS Eq. (10); choices Q14, Q15, Q18, Q19.
 
     Anchors whose children are all masked are dropped, except that one anchor always stays. In a
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
@@ -65,7 +65,7 @@ def quantise(model):
 
 
 def quantise_attributes(model, positions):
-    """The same for a model whose positions and networks are already what its file will hold."""
+    """Do the same for a model whose positions and networks are already those of its file."""
     grids = [
         np.where(check_finite(f"hash grid level {i}", grid) >= 0, 1.0, -1.0)
         for i, grid in enumerate(model.grids)
@@ -81,7 +81,7 @@ def quantise_attributes(model, positions):
 
 
 def with_children(anchors):
-    """The anchors that have a child, or the first one where none has."""
+    """Return the anchors that have a child, or the first one if none has."""
     alive = anchors.mask.any(axis=1)
     if not alive.any():
         alive[0] = True
@@ -89,7 +89,7 @@ def with_children(anchors):
 
 
 def without_silent_units(model):
-    """The same model without the hidden units of anchor networks that are 0 for every anchor.
+    """Return the model without the hidden units of anchor networks that are 0 for every anchor.
 
     Without view effects the only input of these networks is the list of features, so a ReLU that
     is 0 for each of them changes no picture. The four networks share their widths, so from each as
@@ -123,13 +123,13 @@ def without_silent_units(model):
 
 
 def active_units(model, name):
-    """For every hidden layer of an anchor network, which units are positive for some anchor."""
+    """Return which units of each hidden layer of a network are positive for some anchor."""
     _, (layer_inputs, _) = mlp.forward(model.anchors.f_a, *model.networks[name])
     return [units.any(axis=0) for units in layer_inputs[1:]]
 
 
 def round_attributes(values, q, design):
-    """The symbols of attributes [A, n], by Eq. (10), group by group."""
+    """Return the symbols of attributes [A, n], by Eq. (10), group by group."""
     columns = []
     for i, part in enumerate(groups(values, design)):
         name = f"anchors {GROUPS[i]}_a"
@@ -142,13 +142,13 @@ def round_attributes(values, q, design):
 
 
 def check_finite(name, array):
-    """The array, if all its numbers are finite."""
+    """Return the array if all its numbers are finite, or raise EncodeError."""
     require_encodable(np.isfinite(array).all(), f"{name}: expected finite numbers")
     return array
 
 
 def round_box(box):
-    """The corners of the box in the precision of the file."""
+    """Return the corners of the box in the precision of the file."""
     with np.errstate(over="ignore"):
         lo, hi = (np.asarray(corner, np.float32) for corner in box)
     require_encodable(
@@ -159,7 +159,10 @@ def round_box(box):
 
 
 def decoded_design(model):
-    """The design as a decoder will read it. Raises EncodeError for one that it would refuse."""
+    """Return the design as a decoder will read it.
+
+    Raises EncodeError for one that it would refuse.
+    """
     try:
         return read_header(write_header(model))[0]
     except BitstreamError as error:

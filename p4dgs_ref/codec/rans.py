@@ -84,12 +84,12 @@ PIECE = 8 * MAX_LANES  # numbers converted to Python integers at a time: whole r
 
 
 def bit_length(values):
-    """The number of binary digits of integers from 0 to 2^53, int64."""
+    """Return the number of binary digits of integers from 0 to 2^53, int64."""
     return np.frexp(values)[1].astype(np.int64)
 
 
 def encode(entries, keys, lanes=None, push_rows=None):
-    """The bytes of a message: entries [n], indices into keys [E+1].
+    """Return the bytes of a message: entries [n], indices into keys [E+1].
 
     `lanes` overrides the encoder's choice, and `push_rows` may be `push_rows_plainly`. Raises
     ValueError for a message that is too short for that many lanes.
@@ -110,7 +110,7 @@ def encode(entries, keys, lanes=None, push_rows=None):
 
 
 def choose_lanes(freqs):
-    """The number of lanes, computed in integers so that every machine writes the same bytes."""
+    """Return the number of lanes, in integers, so that every machine writes the same bytes."""
     # 24 - log2 f from above, because log2(1 + a) >= a: too many by at most 0.09 bits per symbol.
     length = bit_length(freqs)
     bits = (PRECISION + 2 - length << PRECISION) - (freqs << PRECISION + 1 - length)
@@ -119,7 +119,7 @@ def choose_lanes(freqs):
 
 
 def push_tail(starts, freqs, lanes):
-    """Step 1 in lane 0: its state, the stack, and how many symbols are left for the rows."""
+    """Do step 1 in lane 0; return its state, the stack, and how many symbols are left for rows."""
     x, stack, left = LOWEST, [], len(starts)
     some = lanes if lanes > 1 else PIECE
     # Starting a lane takes 31 bits, so as many words as lanes suffice.
@@ -133,7 +133,7 @@ def push_tail(starts, freqs, lanes):
 
 
 def push_bits(x, b, v, words):
-    """Push b bits v into a lane: its new state."""
+    """Push b bits v into a lane; return its new state."""
     if x >= 1 << 63 - b:
         words.append(x & LOW_WORD)
         x >>= WORD
@@ -141,13 +141,13 @@ def push_bits(x, b, v, words):
 
 
 def pop_bits(x, b, words):
-    """Pop b bits from a lane: its new state, and the bits."""
+    """Pop b bits from a lane; return its new state, and the bits."""
     v, x = x & (1 << b) - 1, x >> b
     return (x if x >= LOWEST else x << WORD | words.pop()), v
 
 
 def start_lanes(x, lanes, words):
-    """Step 2: the states of all lanes."""
+    """Do step 2; return the states of all lanes."""
     states = [x]
     for _ in range(1, lanes):
         states[0], v = pop_bits(states[0], 31, words)
@@ -156,7 +156,7 @@ def start_lanes(x, lanes, words):
 
 
 def close_lanes(states):
-    """Step 4: the state of lane 0 with all other lanes in it, and the words it pushed."""
+    """Do step 4; return the state of lane 0 with all lanes in it, and the words that it pushed."""
     x, words = states[0], []
     for state in reversed(states[1:]):
         n = state.bit_length() - 32
@@ -166,7 +166,7 @@ def close_lanes(states):
 
 
 def push_rows_plainly(states, starts, freqs):
-    """Step 3 symbol by symbol: the states after all rows, and the words in the decoder's order.
+    """Do step 3 symbol by symbol; return the states, and the words in the decoder's order.
 
     With one lane it is step 1.
     """
@@ -183,7 +183,7 @@ def push_rows_plainly(states, starts, freqs):
 
 
 def push_rows_fast(states, starts, freqs):
-    """The same as `push_rows_plainly`, over all lanes at once; x and freq 2^39 fit into int64."""
+    """Do what `push_rows_plainly` does over all lanes at once; x and freq 2^39 fit into int64."""
     x = np.array(states, np.int64)
     starts, freqs = (values.reshape(-1, len(x)) for values in (starts, freqs))
     limits, rest = freqs << 39, (1 << PRECISION) - freqs
@@ -197,7 +197,7 @@ def push_rows_fast(states, starts, freqs):
 
 
 def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
-    """Decode the message that begins at byte `at`: entries [n] int32, and the offset of its end.
+    """Decode the message that begins at byte `at`; return entries [n] int32 and where it ends.
 
     `tables` [n] is the number of every symbol's table; `pop_rows` may be `pop_rows_plainly`. Raises
     BitstreamError where the data end early or no encoder can have written them.
@@ -232,7 +232,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
 
 
 def read_head(data, at, count, section):
-    """The number of lanes, symbols in the rows, the state of lane 0, and where the stack begins."""
+    """Return the number of lanes, symbols in rows, the state of lane 0, and where words begin."""
     first = data[at] if len(data) > at else 0
     lanes, size = 1 << (first & 15), 8 if first & 0x80 else 4
     start = at + (5 if lanes > 1 else 1) + size
@@ -261,7 +261,7 @@ def read_head(data, at, count, section):
 
 
 def open_lanes(x, lanes, words):
-    """Step 4 of the decoder: the states of all lanes, and the words left."""
+    """Do step 4 of the decoder; return the states of all lanes, and the words left."""
     stack = words[: 3 * lanes][::-1].tolist()  # a lane has at most 67 bits, so three words suffice
     states, given = [x], len(stack)
     for _ in range(1, lanes):
@@ -273,7 +273,7 @@ def open_lanes(x, lanes, words):
 
 
 def end_lanes(states, words):
-    """Step 2 of the decoder: the state of lane 0, and the words it pushed before those left."""
+    """Do step 2 of the decoder; return the state of lane 0, and its words before those left."""
     x, pushed = states[0], []
     for state in reversed(states[1:]):
         x = push_bits(x, 31, state - LOWEST, pushed)
@@ -281,7 +281,7 @@ def end_lanes(states, words):
 
 
 def pop_rows_plainly(states, words, tables, keys, entries):
-    """Step 3 of the decoder symbol by symbol: fills `entries`, returns states and words left.
+    """Do step 3 of the decoder symbol by symbol: fill `entries`, return states and words left.
 
     With one lane it is step 1.
     """
@@ -309,7 +309,7 @@ def pop_rows_plainly(states, words, tables, keys, entries):
 
 
 def pop_rows_fast(states, words, tables, keys, entries):
-    """The same as `pop_rows_plainly`, over all lanes at once."""
+    """Do what `pop_rows_plainly` does over all lanes at once."""
     x, count = np.array(states, np.int64), 0
     tables, entries = (values.reshape(-1, len(x)) for values in (tables, entries))
     for row in range(len(tables)):

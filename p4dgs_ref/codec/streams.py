@@ -63,7 +63,7 @@ MAX_GAMMA = 33  # of the b of an escape
 
 
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
-    """The stream of symbols [n], each coded under its own Gaussian. P-4DGS Eqs. (10) and (11).
+    """Encode symbols [n], each under its own Gaussian, and return the stream (Eqs. 10 and 11).
 
     All three are integers in one axis. Any symbol up to 2^31 in magnitude can be coded, however
     improbable. `lanes` and `push_rows` are passed to `rans.encode`.
@@ -79,7 +79,7 @@ def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
 
 
 def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None):
-    """The symbols [n] of a stream, int64.
+    """Return the symbols [n] of a stream, int64.
 
     Raises BitstreamError for data that `encode_gaussian` does not write.
     """
@@ -87,7 +87,7 @@ def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None
 
 
 def decode_symbols(data, model, section="stream", pop_rows=None):
-    """Like `decode_gaussian`, for a model already built, so that mu and sigma can be freed."""
+    """Do what `decode_gaussian` does with a model already built: mu and sigma can be freed."""
     entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
     # In pieces, so that only a few bytes per symbol are in use at any time.
     pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
@@ -114,7 +114,7 @@ def decode_symbols(data, model, section="stream", pop_rows=None):
 
 
 def raw_bits(data, start, stop):
-    """The bits from start to stop of bytes, the lowest of a byte first: an array of 0 and 1."""
+    """Return the bits from start to stop of bytes, lowest first, as an array of 0 and 1."""
     raw = np.frombuffer(data, np.uint8, (stop + 7) // 8 - start // 8, start // 8)
     return np.unpackbits(raw, bitorder="little")[start % 8 :][: stop - start]
 
@@ -126,7 +126,7 @@ def expect_end(data, end, section):
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
-    """The bits [n] that symbols cost under the integer frequencies, escapes and raw bits included.
+    """Return the bits [n] that symbols cost by integer frequencies, with escapes and raw bits.
 
     Their sum is the entropy of the stream.
     """
@@ -139,7 +139,7 @@ def ideal_bits_gaussian(symbols, mu_units, sigma_units):
 
 
 def find_entries(symbols, model):
-    """The entry of every symbol in the model's tables, and v of the escapes."""
+    """Return the entry of every symbol in the model's tables, and v of the escapes."""
     place = (symbols >> model.low[model.table]) - model.lowest
     blocks = model.blocks[model.table]
     escaped = np.flatnonzero((place < 0) | (place >= blocks))
@@ -150,14 +150,14 @@ def find_entries(symbols, model):
 
 
 def gamma_fields(values):
-    """The gamma codes of integers as two fields each: b zeros and a one, then r in b bits."""
+    """Return gamma codes of integers as two fields each: b zeros and a one, then r in b bits."""
     b = rans.bit_length(values) - 1
     fields = np.stack([1 << b, values - (1 << b)], axis=1).ravel()
     return fields, np.stack([b + 1, b], axis=1).ravel()
 
 
 def read_gammas(data, start, count, section):
-    """`count` gamma codes from bit `start` on: their values [count] and the bit after the last."""
+    """Read `count` gamma codes from bit `start` on; return the values and the bit after them."""
     stop = min(start + (2 * MAX_GAMMA + 1) * count, 8 * len(data))
     text = raw_bits(data, start, stop).tobytes()
     digits = bytes.maketrans(b"\0\1", b"01")
@@ -179,7 +179,7 @@ def read_gammas(data, start, count, section):
 
 
 def pack_fields(values, widths):
-    """Bytes of values [n] in widths [n] bits each, lowest bit first."""
+    """Return bytes of values [n] in widths [n] bits each, lowest bit first."""
     raw, first = np.zeros(int(widths.sum()), np.uint8), np.cumsum(widths) - widths
     for bit in range(int(widths.max(initial=0))):
         wide = widths > bit
@@ -188,7 +188,7 @@ def pack_fields(values, widths):
 
 
 def unpack_fields(raw, widths):
-    """The values [n] of fields of widths [n] bits at the start of raw, an array of bits."""
+    """Return the values [n] of fields of widths [n] bits at the start of raw, an array of bits."""
     values, first = np.zeros(len(widths), np.int64), np.cumsum(widths) - widths
     for bit in range(int(widths.max(initial=0))):
         wide = widths > bit
@@ -197,7 +197,7 @@ def unpack_fields(raw, widths):
 
 
 def encode_bits(bits, lanes=None):
-    """The stream of booleans [n] that share one probability. P-4DGS Eq. (14)."""
+    """Encode booleans [n] that share one probability, and return the stream (Eq. 14)."""
     if len(bits) == 0:
         return b""
     f = probability_of_one(int(bits.sum()), len(bits))
@@ -207,17 +207,17 @@ def encode_bits(bits, lanes=None):
 
 
 def probability_of_one(ones, count):
-    """f of the format above: 0 and 2^24 only where all bits are equal."""
+    """Return f of the format above: 0 and 2^24 only if all bits are equal."""
     return max((ones << PRECISION) // count, 1) if ones else 0
 
 
 def bit_keys(f):
-    """The frequency table of a bit."""
+    """Return the frequency table of a bit."""
     return np.array([0, rans.CERTAIN - f, rans.CERTAIN], np.int64)
 
 
 def decode_bits(data, count, section="stream"):
-    """The booleans [count] of a stream.
+    """Return the booleans [count] of a stream.
 
     Raises BitstreamError for data that `encode_bits` does not write.
     """

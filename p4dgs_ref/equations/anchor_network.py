@@ -28,7 +28,7 @@ def forward(
 
 
 def backward(saved, psi_bar):
-    """Gradients of f_a, delta_vc, d_vc, weights and biases."""
+    """Return the gradients of f_a, delta_vc, d_vc, weights and biases."""
     saved_mlp, d = saved
     A, k, width = psi_bar.shape
     gradients = mlp.backward(saved_mlp, psi_bar.reshape(A, k * width))

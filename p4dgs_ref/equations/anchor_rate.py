@@ -27,7 +27,7 @@ def forward(
 
 
 def backward(saved, R_anchor_bar):
-    """Gradients of bits_f, bits_s, bits_l and bits_O; zero for masked offsets."""
+    """Return the gradients of bits_f, bits_s, bits_l and bits_O; zero for masked offsets."""
     mask, d, dtype = saved
     A, k = mask.shape
     bits_O_bar = np.full((A, k, 3), R_anchor_bar, dtype)

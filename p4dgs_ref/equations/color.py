@@ -23,6 +23,6 @@ def forward(
 
 
 def backward(saved, color_bar):
-    """Gradients of f_a, delta_vc, d_vc, weights and biases."""
+    """Return the gradients of f_a, delta_vc, d_vc, weights and biases."""
     psi_c, saved_network = saved
     return anchor_network.backward(saved_network, color_bar * sigmoid_slope(psi_c))

@@ -36,7 +36,7 @@ def forward(
 
 
 def backward(saved, delta_x_bar, delta_s_bar, delta_r_bar, needs_x=True):
-    """Gradients of x, weights and biases; t is data.
+    """Return the gradients of x, weights and biases; t is data.
 
     `needs_x=False` leaves x out: the pipeline lets no gradient flow from E(x) back into x (Q10).
     """

@@ -32,12 +32,12 @@ def forward(
 
 
 def add_delta(attribute, delta):
-    """attribute + delta, or the attribute itself where delta has no columns."""
+    """Return attribute + delta, or the attribute itself if delta has no columns."""
     return attribute + delta if delta.shape[1] else attribute
 
 
 def backward(saved, x_t_bar, s_t_bar, r_t_bar):
-    """Gradients of x, s, r, delta_x, delta_s and delta_r."""
+    """Return the gradients of x, s, r, delta_x, delta_s and delta_r."""
     r_t, norm, (width_x, width_s, width_r) = saved
     r_bar = r_t_bar if norm is None else normalise_backward(r_t, norm, r_t_bar)
     return {

@@ -27,7 +27,7 @@ def forward(
 
 
 def backward(saved, h_bar):
-    """Gradients of the grids; positions and box are data.
+    """Return the gradients of the grids; positions and box are data.
 
     Straight-through: the sign counts as the identity where |parameter| <= 1 and has no gradient
     elsewhere.
@@ -39,7 +39,7 @@ def backward(saved, h_bar):
 
 
 def query(located, grids):
-    """`forward` for positions that `locate` has placed.
+    """Do what `forward` does for positions that `locate` has placed.
 
     In stage 4 the positions are fixed while the grids learn.
     """

@@ -26,7 +26,7 @@ def forward(
 
 
 def backward(saved, R_hash_bar):
-    """Gradients of the grids, straight-through.
+    """Return the gradients of the grids, straight-through.
 
     The sign counts as the identity where |parameter| <= 1; beyond, the gradient is 0. It is also 0
     where all signs agree, although the slope is infinite there.
@@ -42,7 +42,7 @@ def backward(saved, R_hash_bar):
 
 
 def entropy(n_pos, n_neg):
-    """Bits of n_pos signs of one kind and n_neg of the other; the counts need not be integers.
+    """Return the bits of n_pos signs of one kind and n_neg of the other, which may be fractions.
 
     -log p is computed as log(1 + other / n): the logarithm of a p close to 1 loses digits.
     """

@@ -30,7 +30,7 @@ TO_BITS = -1 / np.log(2)  # from log p to bits
 
 
 def literal(f_noisy, mu, sigma, q):
-    """Eq. (11) as printed, in the precision of the inputs."""
+    """Return Eq. (11) as printed, in the precision of the inputs."""
     above = ndtr((f_noisy + q / 2 - mu) / sigma)
     below = ndtr((f_noisy - q / 2 - mu) / sigma)
     return -np.log2(above - below)
@@ -59,7 +59,7 @@ def forward(
 
 
 def backward(saved, bits_bar):
-    """Gradients of f_noisy, mu, sigma and q."""
+    """Return the gradients of f_noisy, mu, sigma and q."""
     f_slope, sigma_slope, q_slope = saved
     f_noisy_bar = bits_bar * f_slope
     return {
@@ -71,7 +71,7 @@ def backward(saved, bits_bar):
 
 
 def bits_and_slopes(f_noisy, mu, sigma, q):
-    """Bits of vectors [n] and their slopes by f_noisy, sigma and q, in float64."""
+    """Return the bits of vectors [n] and their slopes by f_noisy, sigma and q, in float64."""
     f_noisy, mu, sigma, q = (a.astype(np.float64, copy=False) for a in (f_noisy, mu, sigma, q))
     offset = f_noisy - mu
     distance = np.abs(offset)
@@ -97,7 +97,7 @@ def bits_and_slopes(f_noisy, mu, sigma, q):
 
 
 def slopes(offset, sigma, low, high, z, w, ratio):
-    """Slopes of the bits by f_noisy, sigma and q; ratio is phi(low) / p."""
+    """Return the slopes of the bits by f_noisy, sigma and q; ratio is phi(low) / p."""
     # phi(low) - phi(high) = phi(low) * drop, without a difference
     drop = -np.expm1(-z * w)
     slope_z = -np.sign(offset) * ratio * drop  # d log p / dz, with the sign of the offset
@@ -113,25 +113,28 @@ def slopes(offset, sigma, low, high, z, w, ratio):
 
 
 def around_the_mean(low, high, z, w):
-    """The bin holds the mean: p is one minus the tails on either side."""
+    """Return log p and phi(low) / p of a bin around the mean: p is one minus both tails."""
     tails = ndtr(low) + ndtr(-high)
     return np.log1p(-tails), phi(low) / (1 - tails)
 
 
 def beside_the_mean(low, high, z, w):
-    """Both edges are on one side: p is the nearer tail minus the one beyond."""
+    """Return the same of a bin on one side: p is the nearer tail minus the one beyond."""
     p = ndtr(-low) - ndtr(-high)
     return np.log(p), phi(low) / p
 
 
 def far_from_the_mean(low, high, z, w):
-    """The tails underflow; erfcx(v) = exp(v**2) erfc(v) does not: p = exp(-low**2 / 2) * g."""
+    """Return the same for tails that underflow: p = exp(-low**2 / 2) * g.
+
+    erfcx(v) = exp(v**2) erfc(v) does not underflow.
+    """
     g = 0.5 * (erfcx(low / np.sqrt(2)) - np.exp(-z * w) * erfcx(high / np.sqrt(2)))
     return np.log(g) - 0.5 * low**2, PHI_0 / g
 
 
 def narrow_bin(low, high, z, w):
-    """The tails nearly agree: integrate the density's Taylor series about the bin's middle.
+    """Return the same for tails that nearly agree: integrate the density about the bin's middle.
 
     The terms are the Hermite polynomials He_2, He_4 and He_6 of z times w**2, w**4 and w**6.
     """
@@ -143,7 +146,7 @@ def narrow_bin(low, high, z, w):
 
 
 def phi(v):
-    """Density of the standard Gaussian."""
+    """Return the density of the standard Gaussian."""
     return PHI_0 * np.exp(-0.5 * v**2)
 
 

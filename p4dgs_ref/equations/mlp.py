@@ -25,7 +25,7 @@ def forward(
 
 
 def backward(saved, y_bar, needs_x=True) -> dict:
-    """Gradients of x, weights and biases; `needs_x=False` leaves x out and saves a product.
+    """Return the gradients of x, unless `needs_x` is False, of weights and of biases.
 
     A ReLU passes the gradient where its input was positive, so at 0 the gradient is 0.
     """

@@ -16,7 +16,7 @@ def forward(
 
 
 def backward(saved, f_noisy_bar):
-    """Gradients of f and q; the noise is data."""
+    """Return the gradients of f and q; the noise is data."""
     (u,) = saved
     return {
         "f": f_noisy_bar,

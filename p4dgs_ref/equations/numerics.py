@@ -10,18 +10,24 @@ EPSILON = 1e-12  # keeps the value and the gradient of a normalised zero quatern
 
 
 def sigmoid_slope(y):
-    """sigmoid'(y). The textbook s * (1 - s) is 0 as soon as s rounds to 1; 1 - s is sigmoid(-y)."""
+    """Return sigmoid'(y).
+
+    The textbook s * (1 - s) is 0 as soon as s rounds to 1; 1 - s is sigmoid(-y).
+    """
     return sigmoid(y) * sigmoid(-y)
 
 
 def tanh_slope(y):
-    """tanh'(y). The textbook 1 - tanh(y)**2 cancels where tanh is close to 1 in magnitude."""
+    """Return tanh'(y).
+
+    The textbook 1 - tanh(y)**2 cancels where tanh is close to 1 in magnitude.
+    """
     e = np.exp(-2 * np.abs(y))
     return 4 * e / (1 + e) ** 2
 
 
 def in_precision_of(x, number):
-    """`number`, converted so that a scalar x keeps its precision in a product or quotient with it.
+    """Convert `number` so that a scalar x keeps its precision in a product or quotient with it.
 
     NumPy 1 returns float64 for a float32 scalar times a Python number, NumPy 2 float32.
     """
@@ -29,7 +35,7 @@ def in_precision_of(x, number):
 
 
 def length(v):
-    """|v| [..., 1] of vectors [..., 3] or quaternions [..., 4].
+    """Return |v| [..., 1] of vectors [..., 3] or quaternions [..., 4].
 
     The textbook square root of a sum of squares overflows for components of 1e200 and is 0 for
     1e-200 (in float32: 1e20 and 1e-25); hypot does neither.
@@ -49,7 +55,7 @@ def normalise(r):
 
 
 def normalise_backward(unit, norm, unit_bar):
-    """Gradient of r from what `normalise` returned and the cotangent of `unit`.
+    """Return the gradient of r from what `normalise` returned and the cotangent of `unit`.
 
     The derivative is (I - unit unit^T) / norm, where |unit|**2 is 1 - (EPSILON / norm)**2.
     """
@@ -57,7 +63,7 @@ def normalise_backward(unit, norm, unit_bar):
 
 
 def perpendicular(unit, v):
-    """The component of v [..., n] perpendicular to the unit vector `unit` [..., n].
+    """Return the component of v [..., n] perpendicular to the unit vector `unit` [..., n].
 
     In the textbook v - unit (unit . v), the entry of an axis that `unit` nearly follows is a
     difference of nearly equal numbers. As a sum of 2 x 2 minors, v |unit|**2 - unit (unit . v), it

@@ -17,7 +17,7 @@ def forward(
 
 
 def backward(saved, x_bar):
-    """Gradients of x_a, O_a and l_a."""
+    """Return the gradients of x_a, O_a and l_a."""
     O_a, l_a = saved
     return {
         "x_a": x_bar.sum(axis=1),  # one anchor moves all its children: sum over k

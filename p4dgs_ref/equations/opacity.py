@@ -29,7 +29,7 @@ def forward(
 
 
 def backward(saved, alpha_bar):
-    """Gradients of f_a, delta_vc, d_vc, weights and biases."""
+    """Return the gradients of f_a, delta_vc, d_vc, weights and biases."""
     psi_alpha, saved_network = saved
     psi_alpha_bar = alpha_bar[:, :, None] * tanh_slope(psi_alpha)
     return anchor_network.backward(saved_network, psi_alpha_bar)

@@ -29,7 +29,7 @@ def forward(
 
 
 def backward(saved, E_bar):
-    """Gradient of p: the derivative of each sine is the cosine beside it."""
+    """Return the gradient of p: the derivative of each sine is the cosine beside it."""
     E, L = saved
     N, width = E.shape
     D = width // (1 + 2 * L)
@@ -41,5 +41,5 @@ def backward(saved, E_bar):
 
 
 def powers_of_two(L, dtype):
-    """1, 2, 4, ..., 2^(L-1), exact; as an int64, 2^63 would be negative."""
+    """Return 1, 2, 4, ..., 2^(L-1), exact; as an int64, 2^63 would be negative."""
     return np.ldexp(1.0, np.arange(L)).astype(dtype)

@@ -32,7 +32,7 @@ def forward(
 
 
 def backward(saved, mu_bar, sigma_bar):
-    """Gradients of h, weights and biases."""
+    """Return the gradients of h, weights and biases."""
     sigma, free, mu_columns, raw_columns, saved_mlp = saved
     A, n = sigma.shape
     psi_p_bar = np.empty((A, 2 * n), sigma.dtype)
@@ -43,7 +43,7 @@ def backward(saved, mu_bar, sigma_bar):
 
 
 def layout(widths):
-    """Columns of mu and of log sigma in the output: for each group all mu, then all log sigma."""
+    """Return the columns of mu and of log sigma: for each group all mu, then all log sigma."""
     ends = np.cumsum(widths)  # the mu of a group stand behind all mu and log sigma before it
     mu = np.arange(ends[-1]) + np.repeat(ends - widths, widths)
     return mu, mu + np.repeat(widths, widths)

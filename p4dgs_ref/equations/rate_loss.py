@@ -23,7 +23,7 @@ def forward(
 
 
 def backward(saved, bits_bar=0.0, L_rate_bar=0.0):
-    """Gradients of R_anchor and R_hash; n_parameters is data."""
+    """Return the gradients of R_anchor and R_hash; n_parameters is data."""
     (n_parameters,) = saved
     count = in_precision_of(L_rate_bar, n_parameters)
     bar = bits_bar + L_rate_bar / count if count else bits_bar

@@ -28,7 +28,7 @@ def forward(
 
 
 def backward(saved, L_render_bar, L1_bar=0.0, D_SSIM_bar=0.0):
-    """Gradient of the image; that of L1 is 0 where image and truth are equal."""
+    """Return the gradient of the image; that of L1 is 0 where image and truth are equal."""
     slope, lambda_ssim, saved_ssim = saved
     L1_bar = float(L1_bar + (1 - lambda_ssim) * L_render_bar)
     D_SSIM_bar = float(D_SSIM_bar + lambda_ssim * L_render_bar)

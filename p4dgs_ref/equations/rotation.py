@@ -24,6 +24,6 @@ def forward(
 
 
 def backward(saved, r_bar):
-    """Gradients of f_a, delta_vc, d_vc, weights and biases."""
+    """Return the gradients of f_a, delta_vc, d_vc, weights and biases."""
     r, norm, saved_network = saved
     return anchor_network.backward(saved_network, normalise_backward(r, norm, r_bar))

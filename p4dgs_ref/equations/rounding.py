@@ -34,5 +34,5 @@ def forward(
 
 
 def backward(saved, f_hat_bar):
-    """No gradients: rounding is flat almost everywhere, and training uses Eq. (7) instead."""
+    """Return no gradients: rounding is flat almost everywhere; training uses Eq. (7) instead."""
     return {}

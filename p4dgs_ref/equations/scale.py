@@ -24,7 +24,7 @@ def forward(
 
 
 def backward(saved, s_bar):
-    """Gradients of s_a, f_a, delta_vc, d_vc, weights and biases."""
+    """Return the gradients of s_a, f_a, delta_vc, d_vc, weights and biases."""
     s_a, psi_s, saved_network = saved
     s_a_bar = (s_bar * sigmoid(psi_s)).sum(axis=1)  # one anchor scales all its children: sum over k
     psi_s_bar = s_bar * s_a[:, None, :] * sigmoid_slope(psi_s)

@@ -33,7 +33,7 @@ def forward(
 
 
 def backward(saved, ssim_bar):
-    """Gradient of the image; smooth everywhere and exactly 0 where the images are equal."""
+    """Return the gradient of the image, smooth everywhere; 0 where the images are equal."""
     x, e, mu_x, mu_e, luminance, structure, D1, D2, dtype = saved
     # In the forward SSIM = mean of (1 - luminance) (1 - structure), so the gradient of each of the
     # two is minus the other one's factor.

@@ -33,7 +33,7 @@ def forward(
 
 
 def backward(saved, q_bar):
-    """Gradients of h, weights and biases; Q_0 is data."""
+    """Return the gradients of h, weights and biases; Q_0 is data."""
     slope, saved_mlp = saved
     gradients = mlp.backward(saved_mlp, q_bar * slope)
     return {"h": gradients.pop("x"), **gradients}

@@ -57,7 +57,7 @@ class Equation(NamedTuple):
         return self.module.backward
 
     def by_name(self, output: Any) -> dict[str, Any]:
-        """The output of `forward` as {name: array}."""
+        """Return the output of `forward` as {name: array}."""
         arrays = output if isinstance(output, tuple) else (output,)
         return dict(zip(self.outputs, arrays, strict=True))
 

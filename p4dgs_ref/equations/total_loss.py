@@ -19,7 +19,7 @@ def forward(
 
 
 def backward(saved, L_total_bar):
-    """Gradients of L_render and L_rate; lambda_rate is data."""
+    """Return the gradients of L_render and L_rate; lambda_rate is data."""
     (lambda_rate,) = saved
     weight = in_precision_of(L_total_bar, lambda_rate)
     return {"L_render": L_total_bar, "L_rate": weight * L_total_bar}

@@ -23,7 +23,7 @@ def forward(
 
 
 def backward(saved, delta_vc_bar, d_vc_bar):
-    """Gradient of x_a; the camera is data."""
+    """Return the gradient of x_a; the camera is data."""
     delta_vc, d_vc = saved
     # The direction changes only where the anchor moves perpendicular to it, and less from far away.
     turning = perpendicular(d_vc, d_vc_bar) / nonzero(delta_vc)
@@ -31,5 +31,5 @@ def backward(saved, delta_vc_bar, d_vc_bar):
 
 
 def nonzero(delta_vc):
-    """The distances, with 1 in place of 0, so that 0 / distance is 0."""
+    """Return the distances, with 1 in place of 0, so that 0 / distance is 0."""
     return np.where(delta_vc > 0, delta_vc, 1)

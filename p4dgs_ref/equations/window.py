@@ -11,7 +11,7 @@ WINDOW = np.array([np.pad(_tap / _tap.sum(), (i, BLOCK - 1 - i)) for i in range(
 
 
 def to_rows(image):
-    """[H, W, C] to [H, C, W], at least float64.
+    """Transpose [H, W, C] to [H, C, W], at least float64.
 
     With the columns last, averaging is a matrix product in both directions.
     """

@@ -42,7 +42,7 @@ def forward(
 
 
 def backward(saved, image_bar, transmittance_bar=None):
-    """Gradients of mean2d, conic, alpha, color and background.
+    """Return the gradients of mean2d, conic, alpha, color and background.
 
     Zero where alpha is clamped, and for rows that are not visible; the order has no gradient.
     """
@@ -92,14 +92,14 @@ def backward(saved, image_bar, transmittance_bar=None):
 
 
 def scatter(values, order, N):
-    """Values of the rows `order` among N rows, zero elsewhere."""
+    """Return the values of the rows `order` among N rows, zero elsewhere."""
     full = np.zeros((N, *values.shape[1:]), values.dtype)
     full[order] = values
     return full
 
 
 def depth_order(depth, visible, occlusion):
-    """The visible rows from front to back; equal depths stay in the order of their index.
+    """Return the visible rows from front to back; equal depths stay in the order of their index.
 
     Without occlusion the order changes nothing, so nothing is sorted.
     """
@@ -117,7 +117,7 @@ def pixel_blocks(height, width, n, dtype):
 
 
 def alphas(mean2d, conic, alpha, alpha_max, x, y):
-    """Clamped opacities of M Gaussians at P pixels [M, P], falloff, and offsets to the means."""
+    """Return clamped opacities of M Gaussians at P pixels [M, P], falloff, offsets to the means."""
     e_x, e_y = x - mean2d[:, :1], y - mean2d[:, 1:]
     a, b, c = conic.T[:, :, None]
     power = -0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y
@@ -126,7 +126,7 @@ def alphas(mean2d, conic, alpha, alpha_max, x, y):
 
 
 def transmittances(A, occlusion):
-    """The light that reaches each Gaussian [M, P], and what is left behind the last one [P]."""
+    """Return the light that reaches each Gaussian [M, P], and that behind the last one [P]."""
     before, T = np.ones_like(A), np.ones_like(A, shape=A.shape[1:])
     if occlusion:
         for i, alpha in enumerate(A):

@@ -21,7 +21,7 @@ def forward(
 
 
 def backward(saved, Sigma_bar):
-    """Gradients of s and r; that of r is the plain derivative, not projected on the unit sphere."""
+    """Return the gradients of s and r; that of r is not projected on the unit sphere."""
     M, R, s, r = saved
     M_bar = (Sigma_bar + Sigma_bar.transpose(0, 2, 1)) @ M  # both factors of M M^T
     s_bar = np.einsum("nij,nij->nj", M_bar, R)
@@ -30,7 +30,7 @@ def backward(saved, Sigma_bar):
 
 
 def rotation_matrix(r):
-    """The matrices [N, 3, 3] of unit quaternions (w, x, y, z) [N, 4]."""
+    """Return the matrices [N, 3, 3] of unit quaternions (w, x, y, z) [N, 4]."""
     w, x, y, z = r.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -41,7 +41,7 @@ def rotation_matrix(r):
 
 
 def rotation_backward(r, R_bar):
-    """The gradient of r [N, 4], the plain derivative, from that of the matrices."""
+    """Return the gradient of r [N, 4], the plain derivative, from that of the matrices."""
     w, x, y, z = r.T
     (a, b, c), (d, e, f), (g, h, i) = R_bar.transpose(1, 2, 0)
     w_bar = z * (d - b) + y * (c - g) + x * (h - f)

@@ -58,7 +58,7 @@ def forward(
 
 
 def backward(saved, mean2d_bar, conic_bar, depth_bar=None):
-    """Gradients of x, s and r; zero for culled rows."""
+    """Return the gradients of x, s and r; zero for culled rows."""
     saved_centers, JW, m, s, r, R, det, blur, K, visible = saved
     s = np.where(visible[:, None], s, 0)
     S = s[:, None] ** 2

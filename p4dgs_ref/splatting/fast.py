@@ -116,7 +116,7 @@ def forward(
 
 
 def backward(saved, image_bar):
-    """Gradients of mean2d, conic, alpha, color and background.
+    """Return the gradients of mean2d, conic, alpha, color and background.
 
     Pairs that are not listed, or lie behind an opaque tile, contribute nothing.
     """
@@ -178,14 +178,14 @@ def backward(saved, image_bar):
 
 
 def groups_of_tiles(count, side):
-    """The tiles with splats, in groups, longest lists first, so that equal lists stand together."""
+    """Return the tiles with splats in groups, the longest lists first: equal lists are together."""
     tiles = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
     size = max(1, GROUP // side**2)
     return [tiles[first : first + size] for first in range(0, len(tiles), size)]
 
 
 def columns_of(mean2d, conic, alpha):
-    """x, y, minus the conic (a, b, c), log alpha and alpha of every splat [7, N].
+    """Return x, y, minus the conic (a, b, c), log alpha and alpha of every splat [7, N].
 
     An alpha of 0 has a conic of 0 and LOG_OF_ZERO, because infinity would give NaN in a product,
     and 1 in the last row, because backward divides by it.
@@ -197,7 +197,7 @@ def columns_of(mean2d, conic, alpha):
 
 
 def at_pairs(splats, lists, side, piece=slice(None)):
-    """The `columns_of` every pair's splat, with x and y counted from it to its tile's middle."""
+    """Return the `columns_of` every pair's splat, x and y counted from it to its tile's middle."""
     columns, tile = splats.take(lists.splat[piece], axis=1), lists.tile[piece]
     places = np.stack([tile % lists.columns, tile // lists.columns])
     columns[:2] = places * side + (side - 1) / 2 - columns[:2]
@@ -205,7 +205,7 @@ def at_pairs(splats, lists, side, piece=slice(None)):
 
 
 def polynomials(placed, dtype):
-    """The coefficients [M + 1, 6] of all pairs; the last row is the padding, whose alpha is 0."""
+    """Return the coefficients [M + 1, 6] of all pairs; in the last row, the padding, alpha is 0."""
     e_x, e_y, a, b, c, log_alpha, _ = placed
     k_1, k_2 = a * e_x + b * e_y, b * e_x + c * e_y
     k_0 = log_alpha + (e_x * k_1 + e_y * k_2) / 2
@@ -217,14 +217,14 @@ def polynomials(placed, dtype):
 
 @lru_cache(maxsize=8)
 def monomials(side, dtype):
-    """The matrix [6, P] of 1, u, v, u**2, u v, v**2 at a tile's pixels."""
+    """Return the matrix [6, P] of 1, u, v, u**2, u v, v**2 at a tile's pixels."""
     offset = np.arange(side) - (side - 1) / 2
     v, u = (grid.ravel() for grid in np.meshgrid(offset, offset, indexing="ij"))
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v]).astype(dtype)
 
 
 def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
-    """Alphas and weights [K, G, P] of a chunk; updates T and stopped [G, P] in place.
+    """Return alphas and weights [K, G, P] of a chunk; update T and stopped [G, P] in place.
 
     Also returns where alphas were clamped, as pairs of indices of the flat chunk and the slope of
     log alpha there. A few ranks are evaluated and composited at a time, so that they are still in
@@ -277,7 +277,7 @@ def front_to_back(A, weights, T, stopped, settings):
 
 
 def from_moments(moments, placed):
-    """Gradients of mean2d (2), conic (3) and alpha [6, M] of every pair, from its six moments."""
+    """Return the gradients of mean2d, conic, alpha [6, M] of every pair from its six moments."""
     m_0, m_u, m_v, m_uu, m_uv, m_vv = moments
     e_x, e_y, a, b, c, _, opacity = placed
     m_x, m_y = m_u + e_x * m_0, m_v + e_y * m_0  # about the splat's mean, not the tile's middle

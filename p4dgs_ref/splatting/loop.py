@@ -71,7 +71,7 @@ def forward(
 
 
 def backward(saved, image_bar):
-    """Gradients of mean2d, conic, alpha, color and background."""
+    """Return the gradients of mean2d, conic, alpha, color and background."""
     drawn, T, conic, alpha, color, background, settings = saved
     N = len(alpha)
     mean2d_bar, conic_bar = np.zeros((N, 2)), np.zeros((N, 3))

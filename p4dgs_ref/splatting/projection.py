@@ -46,7 +46,7 @@ def forward(
 
 
 def backward(saved, mean2d_bar=None, cov2d_bar=None, conic_bar=None, depth_bar=None):
-    """Gradients of x and Sigma (symmetric); zero for culled rows.
+    """Return the gradients of x and Sigma (symmetric); zero for culled rows.
 
     The gradient of the clamp is 1 inside and on its ends and 0 outside.
     """
@@ -82,7 +82,7 @@ def project_centers(x, W, T, focal, center, size, near, tan_clamp):
 
 
 def project_centers_backward(saved, JW_bar, mean2d_bar, depth_bar, visible):
-    """Gradient of x."""
+    """Return the gradient of x."""
     x_c, inside, JW, W, focal = saved
     z = x_c[:, 2:]
     # In the forward J W = focal / z (W_xy - uv W_z), so uv gets -W_z focal / z and z gets -J W / z.
@@ -99,7 +99,7 @@ def project_centers_backward(saved, JW_bar, mean2d_bar, depth_bar, visible):
 
 
 def covariance2d(m, mS, blur):
-    """The numbers a, b, c [N] of m S m^T + blur I."""
+    """Return the numbers a, b, c [N] of m S m^T + blur I."""
     a, c = (np.einsum("nij,nij->ni", mS, m) + blur).T
     # the mean of both off-diagonal entries
     b = ((mS[:, 0] * m[:, 1]).sum(axis=1) + (mS[:, 1] * m[:, 0]).sum(axis=1)) / 2
@@ -107,7 +107,7 @@ def covariance2d(m, mS, blur):
 
 
 def splats(mean2d, cov2d, det, depth, in_front, dtype):
-    """The outputs, with zeros in culled rows, and the conics as matrices K [N, 2, 2]."""
+    """Return the outputs, with zeros in culled rows, and the conics as matrices K [N, 2, 2]."""
     visible = in_front & (det > 0) & np.isfinite(det)
     a, b, c = cov2d
     conic = np.stack([c, -b, a], axis=1) / np.where(visible, det, 1)[:, None]
@@ -118,17 +118,17 @@ def splats(mean2d, cov2d, det, depth, in_front, dtype):
 
 
 def matrix_gradient(bar, visible):
-    """The gradients [N, 2, 2] of symmetric matrices from those of (a, b, c); zero if culled."""
+    """Return the gradients [N, 2, 2] of matrices from those of (a, b, c); zero if culled."""
     a_bar, b_bar, c_bar = np.where(visible[:, None], bar, 0).T
     return symmetric(a_bar, b_bar / 2, c_bar)
 
 
 def cross(a, b):
-    """Cross products of vectors [N, 3]; `np.cross` takes twice as long."""
+    """Return cross products of vectors [N, 3]; `np.cross` takes twice as long."""
     (a_1, a_2, a_3), (b_1, b_2, b_3) = a.T, b.T
     return np.stack([a_2 * b_3 - a_3 * b_2, a_3 * b_1 - a_1 * b_3, a_1 * b_2 - a_2 * b_1], axis=1)
 
 
 def symmetric(a, b, c):
-    """The matrices [[a, b], [b, c]] [N, 2, 2]."""
+    """Return the matrices [[a, b], [b, c]] [N, 2, 2]."""
     return np.stack([a, b, b, c], axis=1).reshape(-1, 2, 2)

@@ -29,20 +29,20 @@ def forward(
 
 
 def backward(saved, image_bar):
-    """Gradients of x, s, r, alpha, color and background, and of mean2d for density control."""
+    """Return the gradients of x, s, r, alpha, color, background, and mean2d for density control."""
     saved_projection, (compositor, saved_splats) = saved
     bars = compositor.backward(saved_splats, image_bar)
     return {**factored.backward(saved_projection, bars["mean2d"], bars.pop("conic")), **bars}
 
 
 def project(x, s, r, camera, settings):
-    """The splats of a camera, in float64, and what `factored.backward` needs."""
+    """Return the splats of a camera, in float64, and what `factored.backward` needs."""
     x, s, r = (a.astype(float) for a in (x, s, r))
     return factored.forward(x, s, r, **pinhole(camera, settings))
 
 
 def pinhole(camera, settings) -> dict:
-    """A camera and the constants of projection, as arguments of `projection`."""
+    """Return a camera and the constants of projection, as arguments of `projection`."""
     return dict(
         W=camera.R,
         T=camera.T,
@@ -56,7 +56,7 @@ def pinhole(camera, settings) -> dict:
 
 
 def composite(splats, alpha, color, camera, background, settings, occlusion, keep):
-    """Composite splats in float64: what `forward` returns, the compositor, and what that saved."""
+    """Composite in float64; return what `forward` returns, the compositor and what it saved."""
     mean2d, cov2d, conic, depth, visible = splats
     alpha, color, background = (np.asarray(a, float) for a in (alpha, color, background))
     bad = np.flatnonzero(~(alpha >= 0))

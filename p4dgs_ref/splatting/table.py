@@ -34,7 +34,7 @@ EQUATIONS: dict[str, Equation] = {row.key: row for row in (*PAPER, *SPLATTING)}
 
 
 def to_markdown():
-    """The table as Markdown, as tutorials/reference.md shows it."""
+    """Return the table as Markdown, as tutorials/reference.md shows it."""
     # A bare bar in a formula would end its column.
     lines = ["| no. | key | file | formula |", "|---|---|---|---|"]
     for eq in EQUATIONS.values():

@@ -56,12 +56,12 @@ def bin_splats(
 
 
 def listable(alpha, visible, settings):
-    """Which Gaussians [N] are evaluated anywhere: an ellipse needs an alpha above the cut."""
+    """Return which Gaussians [N] are evaluated at all: an ellipse needs an alpha above the cut."""
     return visible & (alpha > settings.cut) if settings.footprint == "ellipse" else visible
 
 
 def pixel_bounds(mean, cov, alpha, width, height, settings):
-    """First and last pixel [N, 2], as x and y, of the rectangle where each Gaussian is evaluated.
+    """Return first and last pixel [N, 2], x and y, of the rectangle where a Gaussian is evaluated.
 
     It may reach beyond the image, and it is empty where the last pixel is before the first.
     """
@@ -80,18 +80,18 @@ def pixel_bounds(mean, cov, alpha, width, height, settings):
 
 
 def largest_form(alpha, settings):
-    """The largest value of the quadratic form at which alpha exp(-form / 2) reaches the cut [N]."""
+    """Return the largest quadratic form at which alpha exp(-form / 2) reaches the cut [N]."""
     return 2 * np.log(alpha / settings.cut)
 
 
 def runs(first, count):
-    """For every i the count_i numbers first_i, first_i + 1, ...: the i of each, and the numbers."""
+    """Return the i of each of the count_i numbers first_i, first_i + 1, ..., and the numbers."""
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count)
 
 
 def nearest_form(mean, conic, x_0, y_0, side):
-    """Smallest value of the quadratic form over each tile's rectangle of pixel centres [M].
+    """Return the smallest quadratic form over each tile's rectangle of pixel centres [M].
 
     The form is convex: unless the mean is inside, the smallest value lies on the nearest vertical
     or the nearest horizontal edge. Along an edge the form is a parabola, clamped to the edge's

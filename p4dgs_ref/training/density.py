@@ -24,7 +24,7 @@ class Statistics:
 
     @classmethod
     def empty(cls, A, k):
-        """The statistics of A anchors with k children before the first view."""
+        """Return the statistics of A anchors with k children before the first view."""
         return cls(np.zeros(A), *np.zeros((3, A, k)))
 
     def collect(self, rendered, mean2d_bar, camera):
@@ -47,7 +47,7 @@ class Statistics:
         self.opacity[anchors] = self.visits[anchors] = 0
 
     def with_rows(self, keep, count):
-        """The statistics of the anchors that are kept, and of `count` new ones after them."""
+        """Return the statistics of the anchors that are kept, then of `count` new ones."""
         return Statistics(
             *(
                 np.concatenate([sums[keep], np.zeros((count, *sums.shape[1:]))])
@@ -62,7 +62,7 @@ def centers(p):
 
 
 def grow(p, statistics, preset, rng):
-    """New anchors where projected centres have large gradients, as {array name: new rows}.
+    """Return new anchors where projected centres have large gradients, {array name: new rows}.
 
     This is the rule of Scaffold-GS (Lu et al. 2024) with the constants of its code (Q16). Level i
     looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that hold a child
@@ -102,23 +102,23 @@ def grow(p, statistics, preset, rng):
 
 
 def judged_children(statistics, preset):
-    """The children [A, k] that were rendered often enough for a decision."""
+    """Return the children [A, k] that were rendered often enough for a decision."""
     return statistics.seen > preset.grow_every * preset.success * 0.5
 
 
 def judged_anchors(statistics, preset):
-    """The anchors [A] that enough views of the window have visited for a decision."""
+    """Return the anchors [A] that enough views of the window have visited for a decision."""
     return statistics.visits > preset.grow_every * preset.success
 
 
 def dead_anchors(statistics, mask, preset):
-    """The anchors [A] whose kept children together stayed below min_opacity per view."""
+    """Return the anchors [A] whose kept children together stayed below min_opacity per view."""
     total = (statistics.opacity * mask).sum(axis=1)
     return judged_anchors(statistics, preset) & (total < preset.min_opacity * statistics.visits)
 
 
 def faint_children(statistics, preset):
-    """The children [A, k] whose mean positive opacity stayed below min_opacity (Q15)."""
+    """Return the children [A, k] whose mean positive opacity stayed below min_opacity (Q15)."""
     least = preset.min_opacity * statistics.visits[:, None]
     return judged_anchors(statistics, preset)[:, None] & (statistics.opacity < least)
 

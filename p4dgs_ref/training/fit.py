@@ -129,7 +129,7 @@ def checkpoints(trainer, folder, resume):
 
 
 def fingerprint(views):
-    """CRC-32 of all that training reads of views: pictures, cameras and times."""
+    """Return CRC-32 of all that training reads of views: pictures, cameras and times."""
     crc = 0
     for view in views:
         for part in (view.image, *vars(view.camera).values(), view.time):
@@ -138,7 +138,7 @@ def fingerprint(views):
 
 
 def identity(trainer):
-    """What must be equal in a checkpoint and in a training that resumes from it, as JSON values."""
+    """Return what a checkpoint and a training that resumes from it must share, as JSON values."""
     return {
         **{f"preset.{name}": value for name, value in vars(trainer.preset).items()},
         "seed": trainer.seed,
@@ -152,7 +152,7 @@ def identity(trainer):
 
 
 def checksum(data):
-    """The SHA-256 of an archive and of the RELEASE that can read it."""
+    """Return the SHA-256 of an archive and of the RELEASE that can read it."""
     return hashlib.sha256(RELEASE + data).digest()
 
 
@@ -169,7 +169,7 @@ def save_checkpoint(trainer, folder, common):
 
 
 def load_checkpoint(folder):
-    """The arrays and the JSON values of a checkpoint; raises RunError where it cannot be used."""
+    """Return arrays and JSON values of a checkpoint; raise RunError if it cannot be used."""
     path = Path(folder) / CHECKPOINT
     destination(path)  # a pipe or a device would be read without end
     expected = f"expected a checkpoint, which `p4dgs-ref train SCENE -o {folder}` makes"
@@ -206,7 +206,7 @@ def restore_checkpoint(trainer, folder, common):
 
 
 def load_model(folder):
-    """The model in the checkpoint of a run folder, and the values of the checkpoint."""
+    """Return the model in the checkpoint of a run folder, and the values of the checkpoint."""
     arrays, values = load_checkpoint(folder)
     model = assemble(
         Parameters(with_prefix(arrays, "p/")),

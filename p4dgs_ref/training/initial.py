@@ -9,7 +9,7 @@ from .parameters import Parameters, random_layers
 
 
 def design_of(preset, effects):
-    """The Design that a preset and the effects of a scene ask for."""
+    """Return the Design that a preset and the effects of a scene ask for."""
     grid = [("xyz", res) for res in preset.grid_3d]
     grid += [(axes, res) for axes in ("xy", "xz", "yz") for res in preset.grid_2d]
     return Design(  # first the fields that have the same names in both
@@ -22,7 +22,7 @@ def design_of(preset, effects):
 
 
 def neighbour_distance(points):
-    """The root mean square distance [A] of each point to its three nearest neighbours.
+    """Return the root mean square distance [A] of each point to its three nearest neighbours.
 
     3DGS starts its scales from this distance.
     """
@@ -33,7 +33,7 @@ def neighbour_distance(points):
 
 
 def starting_points(points, count, extent, rng):
-    """The points [A, 3] to start from, or `count` random ones in [-extent, extent]^3."""
+    """Return the points [A, 3] to start from, or `count` random ones in [-extent, extent]^3."""
     if points is None:
         points = rng.uniform(-extent, extent, (count, 3))
     points = np.asarray(points, float)
@@ -46,12 +46,12 @@ def starting_points(points, count, extent, rng):
 
 
 def lattice_nodes(points, preset):
-    """The nodes [A, 3] of the lattice that are nearest to points, each of them once."""
+    """Return the nodes [A, 3] of the lattice that are nearest to points, each of them once."""
     return np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel
 
 
 def initial_parameters(preset, design, rng, points=None):
-    """The Parameters of a model before training; `points` [A, 3] replace the random ones.
+    """Return the Parameters of a model before training; `points` [A, 3] replace the random ones.
 
     The arrays of a network are "psi_alpha.W0" and so on, those of the hash grid "grid.0" and so on.
     """

@@ -68,13 +68,13 @@ class Rendered(NamedTuple):
 
 
 def linear_values(p):
-    """The coded attributes side by side [A, n], as in `model.join`: logarithms undone (Q5)."""
+    """Return the coded attributes [A, n] as `model.join` does, with logarithms undone (Q5)."""
     s_a, l_a = np.exp(p["log_s"]), np.exp(p["log_l"])
     return concatenate_groups(p["f_a"], s_a, l_a, p["O_a"])
 
 
 def loss(p, design, networks, grids, inputs, view, u):
-    """The Losses of one view, its Rendered, and `back`.
+    """Return the Losses of one view, its Rendered, and `back`.
 
     `networks` and `grids` are views into the Parameters p, `inputs` are StepInputs. u [A, n] is the
     noise in [-1/2, 1/2); rendering and rate share it (Q23), and stage 1 does not use it.
@@ -149,7 +149,7 @@ def loss(p, design, networks, grids, inputs, view, u):
 
 
 def add_noise(values, u, steps, design):
-    """Add noise to each group with its own step (Eq. 7): [A, n] and `back`.
+    """Add noise to each group with its own step (Eq. 7); return [A, n] and `back`.
 
     back(noisy_bar) returns the gradients of the values [A, n] and of the steps [A, 4].
     """

@@ -25,17 +25,17 @@ class Parameters:
         return self.arrays[name]
 
     def zeros(self):
-        """The same names and shapes, filled with zeros."""
+        """Return Parameters of the same names and shapes, filled with zeros."""
         zeros = Parameters(self.arrays, self.vector.dtype)
         zeros.vector[...] = 0
         return zeros
 
     def arrays_of(self, prefix):
-        """The arrays whose names begin with the prefix, in their order."""
+        """Return the arrays whose names begin with the prefix, in their order."""
         return [array for name, array in self.arrays.items() if name.startswith(prefix)]
 
     def network(self, name):
-        """The weights and the biases of a network, layer by layer."""
+        """Return the weights and the biases of a network, layer by layer."""
         return self.arrays_of(f"{name}.W"), self.arrays_of(f"{name}.b")
 
     def fill(self, name, gradients):
@@ -45,18 +45,18 @@ class Parameters:
             self[f"{name}.b{i}"][...] = b
 
     def per_element(self, number_of):
-        """A vector with `number_of(name)` at every element of each array."""
+        """Return a vector with `number_of(name)` at every element of each array."""
         values = np.array([number_of(name) for name in self.arrays], self.vector.dtype)
         return np.repeat(values, [array.size for array in self.arrays.values()])
 
     def with_rows(self, names, keep, extra):
-        """A copy in which the arrays `names` keep the rows `keep` and end with `extra[name]`."""
+        """Return a copy whose arrays `names` keep the rows `keep` and end with `extra[name]`."""
         changed = {name: np.concatenate([self[name][keep], extra[name]]) for name in names}
         return Parameters(self.arrays | changed, self.vector.dtype)
 
 
 def random_layers(rng, name, shapes):
-    """The first arrays of a network: every entry uniform in +-1/sqrt(rows) of its layer.
+    """Return a network's first arrays: every entry uniform in +-1/sqrt(rows) of its layer.
 
     This is PyTorch's default for linear layers, which the methods that P-4DGS builds on use.
     """
@@ -99,7 +99,7 @@ class Adam:
 
 
 def learning_rate_at(step, first, last, until, start=0):
-    """The learning rate at `step`: geometric between `first` at `start` and `last` at `until`.
+    """Return the learning rate at `step`: geometric from `first` at `start` to `last` at `until`.
 
     This is the schedule of Kerbl et al. 2023 without its warm-up, which no successor uses.
     """

@@ -88,7 +88,7 @@ class Preset:
         return self.stage_ends[-1]
 
     def stage(self, iteration):
-        """The stage, 1 to 4, of an iteration counted from 0."""
+        """Return the stage, 1 to 4, of an iteration counted from 0."""
         return 1 + sum(iteration >= end for end in self.stage_ends[:3])
 
 
@@ -96,7 +96,7 @@ FIELDS = tuple(Preset.__annotations__)[1:]  # without the name
 
 
 def by_field(table):
-    """{field: value} of a table {names of fields: value}."""
+    """Return {field: value} of a table {names of fields: value}."""
     return {name: value for names, value in table.items() for name in names.split()}
 
 
@@ -209,12 +209,12 @@ MAX_VALUE = 1e18  # of a field: an integer of a hundred digits could not become 
 
 
 def number_from(least, most):
-    """The requirement that a number is from `least` to `most`."""
+    """Return the requirement that a number is from `least` to `most`."""
     return f"a number from {least:g} to {most:g}", lambda value: least <= value <= most
 
 
 def widths(most):
-    """The requirement on the hidden widths of a network or the resolutions of a grid."""
+    """Return the requirement on the hidden widths of a network or the resolutions of a grid."""
     return (
         f"at most {most} numbers from 1 to {MAX_WIDTH}",
         lambda value: len(value) <= most and all(1 <= n <= MAX_WIDTH for n in value),
@@ -253,7 +253,7 @@ REQUIREMENTS = {name: number_from(1, most) for name, most in MAX_OF.items()} | b
 
 
 def differences(preset, against=PAPER_SYNTHETIC):
-    """Every difference as (field, value of the other, value of the preset)."""
+    """Return every difference as (field, value of the other, value of the preset)."""
     return [
         (name, getattr(against, name), getattr(preset, name))
         for name in FIELDS
@@ -262,7 +262,7 @@ def differences(preset, against=PAPER_SYNTHETIC):
 
 
 def choose(preset, changes=None):
-    """A preset, or the one of that name, with some fields changed.
+    """Return a preset, or the one of that name, with some fields changed.
 
     A change may also be a text, as on the command line. Raises ValueError with the name of the
     preset or field and what was expected.
@@ -303,7 +303,7 @@ def choose(preset, changes=None):
 
 
 def read_value(value, like):
-    """The value as the type of `like`; a text is parsed, tuples are written with commas."""
+    """Return the value as the type of `like`; a text is parsed, tuples are written with commas."""
     if isinstance(like, tuple):
         if isinstance(value, str):
             value = value.replace(",", " ").split()

@@ -38,7 +38,7 @@ FIRST_STAGE = {"psi_d": 3, "psi_p": 4, "psi_q": 4, "grid": 4}
 
 
 def assemble(p, design, mask, box, background):
-    """The model of Parameters p, with linear attributes, in float64.
+    """Return the model of Parameters p, with linear attributes, in float64.
 
     Where `box` is empty, as before stage 4, the box is that of the anchors.
     """
@@ -56,7 +56,7 @@ def assemble(p, design, mask, box, background):
 
 
 def with_prefix(named, tag):
-    """Copies of the arrays whose names begin with the tag, by the rest of their names."""
+    """Return copies of the arrays whose names begin with the tag, by the rest of their names."""
     return {
         name.removeprefix(tag): value.copy()
         for name, value in named.items()
@@ -127,13 +127,13 @@ class Trainer:
         return losses, rendered, view
 
     def next_view(self):
-        """A random view; no view comes again before all others have been visited."""
+        """Return a random view; no view comes again before all others have been visited."""
         if not self.order:
             self.order = self.rng.permutation(len(self.scene.train)).tolist()
         return self.scene.train[self.order.pop()]
 
     def learning_rate(self, name):
-        """The current learning rate of a name of LEARNING_RATES; 0 where the stage has none."""
+        """Return the learning rate of a name of LEARNING_RATES now; 0 if it does not take part."""
         if self.stage < FIRST_STAGE.get(name, 1) or name == "x_a" and self.stage == 4:
             return 0.0
         return learning_rate_at(
@@ -144,7 +144,7 @@ class Trainer:
         )
 
     def step_inputs(self):
-        """The StepInputs of the next iteration."""
+        """Return the StepInputs of the next iteration."""
         return objective.StepInputs(
             mask=self.mask,
             located=self.located,
@@ -156,7 +156,7 @@ class Trainer:
         )
 
     def gradients_of(self, view):
-        """The Losses and the Rendered of a view, and the gradients of parameters and of mean2d.
+        """Return a view's Losses and Rendered, and the gradients of parameters and of mean2d.
 
         Raises NotFinite with the first equation, array and index that is NaN or infinite.
         """
@@ -240,11 +240,11 @@ class Trainer:
             self.freeze_positions()
 
     def model(self):
-        """The model as it is now, before rounding."""
+        """Return the model as it is now, before rounding."""
         return assemble(self.parameters, self.design, self.mask, self.box, self.scene.background)
 
     def state(self):
-        """All that another process needs to go on: arrays by name, and JSON values by name."""
+        """Return all that another process needs to go on: arrays and JSON values, by name."""
         groups = {
             "p": self.parameters.arrays,
             "m": self.adam.first.arrays,

@@ -15,7 +15,7 @@ from . import objective
 
 
 def equation_codes():
-    """{code object: (key, "forward" or "backward")} of equations and of their twins in training.
+    """Return {code object: (key, "forward" or "backward")} of equations and of their twins.
 
     The twins have the keys "projection, factored" and "compositing, fast".
     """
@@ -29,7 +29,7 @@ def equation_codes():
 
 @contextmanager
 def watch_calls(codes, see):
-    """A `with` block in which see(event, mark, frame, value) is told of calls in this thread.
+    """Call see(event, mark, frame, value) for calls in this thread, in a `with` block.
 
     `codes` is {code object: mark}. The event "call" comes before the first line of a function, with
     the value None; "return" comes after the last one, with the value that is returned, or None
@@ -53,7 +53,7 @@ class NotFinite(ArithmeticError):
 
 
 def first_bad(arrays, where=""):
-    """A phrase like "f_a[3, 1] is nan" for the first NaN or infinity in {name: array}, or None.
+    """Return a phrase like "f_a[3, 1] is nan" for the first NaN or infinity, or None.
 
     A list of arrays may stand in the place of an array. The phrase begins with `where`.
     """
@@ -68,7 +68,7 @@ def first_bad(arrays, where=""):
 
 
 def first_not_finite(inputs):
-    """A phrase that names where `objective.loss(*inputs)` and its `back` first are not finite."""
+    """Return a phrase that names where `objective.loss(*inputs)` and its `back` first fail."""
     phrases, running = [first_bad(inputs[0].arrays, "parameter: ")], []
 
     def see(event, mark, frame, value):
