@@ -21,7 +21,7 @@ class Attribute(NamedTuple):
 
     @property
     def per_child(self):
-        """Whether every child has its own, which is not coded where the child is masked (Q15)."""
+        """Whether every child has its own, which is not coded if the child is masked (Q15)."""
         return "k" in self.shape
 
     def sizes(self, design):

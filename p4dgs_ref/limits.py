@@ -1,4 +1,4 @@
-"""How much a model and its file may hold, so that a damaged file costs little time and memory.
+"""How much a model and its file may contain, so that a damaged file costs little time and memory.
 
 The codec's format page states them; a port has to keep to them.
 """

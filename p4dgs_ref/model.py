@@ -101,7 +101,7 @@ def declared_numbers(design, anchors):
 def over_limits(design, anchors):
     """Return the limit of a file that a model with so many anchors breaks, in words, or "".
 
-    An anchor has at least 14 numbers, so MAX_NUMBERS holds its count below MAX_ANCHORS, too.
+    An anchor has at least 14 numbers, so MAX_NUMBERS keeps its count below MAX_ANCHORS, too.
     """
     parts = declared_numbers(design, anchors)
     for what, count, most in (

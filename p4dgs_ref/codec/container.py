@@ -79,7 +79,7 @@ class BitstreamError(ValueError):
 
 
 class EncodeError(ValueError):
-    """A model that the format cannot hold; the message names the array and what was expected."""
+    """A model that the format cannot store; the message names the array and what was expected."""
 
 
 def expect(holds, section, offset, message):

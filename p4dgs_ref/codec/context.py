@@ -2,13 +2,13 @@
 
 P-4DGS predicts for every anchor the step, mean and deviation of its attributes (its Fig. 2).
 Encoder and decoder must agree on these to the last bit, so they are computed without a single
-rounded floating-point result: all numbers are integers below 2^53, or IEEE doubles that hold such
+rounded floating-point result: all numbers are integers below 2^53, or IEEE doubles that are such
 integers.
 
-Three conventions hold below. An output y of a network is an integer in units of 2^-a. "The output
-in units of 2^-c" is floor((y + 2^(a-c-1)) / 2^(a-c)) where a > c, and y 2^(c-a) otherwise; a port
-clips before this multiplication overflows. clip(v, low, high) is v, at least low, at most high.
-"Bits of" an integer is the number of its binary digits, 0 for 0.
+Three conventions are used below. An output y of a network is an integer in units of 2^-a. "The
+output in units of 2^-c" is floor((y + 2^(a-c-1)) / 2^(a-c)) if a > c, and y 2^(c-a) otherwise; a
+port clips before this multiplication overflows. clip(v, low, high) is v, at least low, at most
+high. "Bits of" an integer is the number of its binary digits, 0 for 0.
 
 NETWORKS give the same outputs on every machine and in any order of summation. A number is
 represented by an integer n and a number of fractional bits a; its value is n times 2^-a. The
@@ -19,8 +19,8 @@ a. Input. The input x of a network is a vector of integers with |x| <= X = 2^15 
 b. Layer. The weights W (I rows, J columns) and biases b (J) are the float16 numbers of the file.
    With
 
-       p   = the least integer with max |W| < 2^p      (0 where all are zero)
-       p_b = the least integer with max |b| < 2^p_b    (0 where all are zero)
+       p   = the least integer with max |W| < 2^p      (0 if all are zero)
+       p_b = the least integer with max |b| < 2^p_b    (0 if all are zero)
        n   = min(15 - p, 50 - p_b - a, 24)
 
    they become integers, and the layer is computed in integers:
@@ -34,8 +34,8 @@ b. Layer. The weights W (I rows, J columns) and biases b (J) are the float16 num
        B = X max_j sum_i |W'_ij| + max_j |b'_j|.
 
    Because I <= 2^14 and X <= 2^22, B is below 2^52. A float64, and therefore a JavaScript number,
-   holds every partial sum exactly, so the products may be added in any order, with or without fused
-   multiply-add.
+   represents every partial sum exactly, so the products may be added in any order, with or without
+   fused multiply-add.
 
 c. Hidden layer. Let s = max(0, bits of B - 22). The input of the next layer is
 
@@ -70,7 +70,7 @@ THE CONTEXT of an anchor follows from its position and the two networks.
        h = floor((v + floor(Q / 2)) / Q)       Q = floor(65535^D / 2^15)
 
    in units of 2^-15, so |h| <= 2^15. A corner has one coordinate per axis, in the order of the axes
-   in the level's name, each at most R - 1. The corner (i, j, k) reads node i + j R + k R^2 where
+   in the level's name, each at most R - 1. The corner (i, j, k) reads node i + j R + k R^2 if
    R^D is at most the level's number of nodes T, and node
 
        (i XOR 2654435761 j XOR 805459861 k) mod T
@@ -153,7 +153,7 @@ CHUNK = 2**18  # numbers per temporary array, so that memory does not grow with 
 
 
 class Layer(NamedTuple):
-    """Integers held in float64, exact because none reaches 2^53."""
+    """Integers in float64, exact because none reaches 2^53."""
 
     W: np.ndarray  # [I, J]
     b: np.ndarray  # [J]
@@ -255,8 +255,8 @@ def shift(values, S):
 def coding_context(design, networks, grids, positions):
     """Return the coding context of anchors at positions [A, 3], integers 0 to 65535.
 
-    `networks` hold float16 numbers and `grids` +1 and -1, as in the file. P-4DGS Eqs. (8), (9) and
-    (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
+    `networks` contain float16 numbers and `grids` +1 and -1, as in the file. P-4DGS Eqs. (8), (9)
+    and (12) in integers; choices Q6 (one step per group), Q7, Q8 and Q11.
     """
     psi_q, psi_p = (integer_layers(*networks[name]) for name in ("psi_q", "psi_p"))
     columns = len(design.grid) * design.F, 8 * max(design.F, 3), 2 * sum(design.widths)

@@ -1,4 +1,4 @@
-"""The sections of a file: what each of them holds.
+"""The sections of a file: what each of them contains.
 
 The sections stand in this order, that of their ids. Gaussian sections and bit sections are the
 two kinds of streams in `streams.py`. A is the number of anchors.
@@ -11,10 +11,10 @@ two kinds of streams in `streams.py`. A is the number of anchors.
     5   offset_scales    Gaussian   3 symbols of l per anchor
     6   offsets          Gaussian   3 symbols of O (x, y, z) per kept child, anchor by anchor and
                                     child by child
-    7   masks            bits       k bits per anchor: 1 where the child is kept
+    7   masks            bits       k bits per anchor: 1 if the child is kept
     8   hash_grid        bits       level by level, T nodes of F entries, one bit each: 1 for an
                                     entry of +1, 0 for -1
-    9   deformation_mlp  float16    psi_d; absent where nothing moves
+    9   deformation_mlp  float16    psi_d; absent if nothing moves
     10  anchor_mlps      float16    psi_alpha, psi_c, psi_r, psi_s
     11  context_mlps     float16    psi_p, psi_q
 
@@ -22,12 +22,12 @@ All numbers are little-endian. A decoder needs the sections in another order: it
 positions, hash_grid and context_mlps and computes the coding context (`context.py`). It can then
 read the Gaussian sections in any order, but masks before offsets.
 
-Where a file has several mistakes, decoders may name different ones. This one names the first in
+If a file has several mistakes, decoders may name different ones. This one names the first in
 this order: the container; header and its limits; a section that is missing or unexpected, by id;
 then positions, anchor_mlps, context_mlps, deformation_mlp, hash_grid, masks, features, scales,
 offset_scales and offsets.
 
-Every section is present, also an empty one (offsets where no child is kept), with one exception:
+Every section is present, also an empty one (offsets if no child is kept), with one exception:
 deformation_mlp is present if and only if the header lists translation, rotation or scaling. A
 section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates
 of at most 1e30 (the double) in magnitude, and every weight is finite. The float32 next to 1e30 is
@@ -53,7 +53,7 @@ Networks. A layer of I inputs and J outputs computes y = x W + b. It is stored a
 W[i][j], j fastest, then the J numbers b[j]. The layers of a network lead from its inputs over the
 hidden widths in the header to its outputs:
 
-    psi_alpha, psi_c,   inputs: d, or d + 4 where the header lists the effect view_color (psi_c) or
+    psi_alpha, psi_c,   inputs: d, or d + 4 if the header lists the effect view_color (psi_c) or
     psi_r, psi_s        view_geometry (the others); hidden widths: `hidden`;
                         outputs: k, 3 k, 4 k and 3 k
     psi_p               inputs: h, F numbers per level; hidden widths: `context`;
@@ -62,7 +62,7 @@ hidden widths in the header to its outputs:
     psi_q               inputs and hidden widths as psi_p; outputs: 4, one each for f, s, l and O
     psi_d               inputs: 3 (1 + 2 L_x) + 1 + 2 L_t; hidden widths: `deformation`; then up to
                         three last layers side by side, each with its own W and b: 3, 3 and 4
-                        outputs for translation, scaling and rotation, where the header lists them
+                        outputs for translation, scaling and rotation, if the header lists them
 
 Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its
 symbol times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no
@@ -78,7 +78,7 @@ writes decodes to the same numbers, with three exceptions:
 2. In a scene without view effects, hidden units of the anchor networks that are 0 for every anchor
    are dropped. The pictures stay.
 3. On an axis on which the box has no extent, every n stands for the same coordinate, so that a
-   decoded model does not hold n, and 0 is stored. Where n was not 0 (as in `one_anchor`), the
+   decoded model does not contain n, and 0 is stored. If n was not 0 (as in `one_anchor`), the
    anchor gets another hash feature and therefore other steps, and its attributes move by half a new
    step at most. If a symbol would then exceed 2^31, the model is refused.
 
@@ -86,7 +86,7 @@ A model is also refused if the file that this encoder writes is too short for th
 `header.py`, which a longer file of the same model may meet.
 
 Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
--0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps holds
+-0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps contains
 (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) + (9 8 + 9 6) = 486 numbers, which are 972 bytes.
 """
 
@@ -159,7 +159,7 @@ def sections_of(quantised):
 def encode(model: Model) -> bytes:
     """Return the file of a model, as bytes; the same model gives the same bytes.
 
-    Raises EncodeError or OverflowError for a number that the format cannot hold.
+    Raises EncodeError or OverflowError for a number that the format cannot store.
     """
     return write_container(sections_of(quantise(model)))
 

@@ -6,7 +6,7 @@ The coding context gives two integers for every symbol k:
     sigma_units   log2(sigma / q) in units of 1/16, from -128 to 319 (sigma / q from 2^-8 to almost
                   2^20)
 
-A symbol is coded as the *block* it lies in, plus raw bits where a block has several symbols. Every
+A symbol is coded as the *block* it lies in, plus raw bits if a block has several symbols. Every
 block within six deviations of the mean has a frequency; all others share the *escape*. Divisions by
 powers of two round down; they are arithmetic shifts of integers of more than 32 bits. Every product
 stays below 2^53 if differences are taken before products.
@@ -21,7 +21,7 @@ stays below 2^53 if differences are taken before products.
 
    mu' replaces mu_units from here on.
 
-3. Blocks. Where that multiple exceeds one symbol, a block has as many symbols as the multiple, and
+3. Blocks. If that multiple exceeds one symbol, a block has as many symbols as the multiple, and
    one symbol otherwise:
 
        low = max(e - 4, 0)          K = floor(k / 2^low)
@@ -126,7 +126,7 @@ def gaussian_model(mu_units, sigma_units):
         _, step, low, reach = shape_of(sigma)
         mu = (mu_units[rows].astype(np.int64) + (1 << step >> 1)) >> step << step
         lowest[rows] = (mu + HALF >> MU_BITS + low) - reach
-        # low > 0 only where mu' is a multiple of its block, so the place is always below 1024.
+        # low > 0 only if mu' is a multiple of its block, so the place is always below 1024.
         pair[rows] = (sigma - SIGMA_MIN << MU_BITS) | (mu & (1 << MU_BITS + low) - 1)
         used[pair[rows]] = True
 

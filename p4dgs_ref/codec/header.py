@@ -18,7 +18,7 @@
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
 All fields are there, none occurs twice, and there is no other. They stand in any order. background,
-Q_0 and tau_alpha hold numbers that are read as the nearest double, as JSON.parse and strtod do; the
+Q_0 and tau_alpha are numbers that are read as the nearest double, as JSON.parse and strtod do; the
 ranges are those of this double. All other numbers are integers, written without point and
 exponent; a reader that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of
 two equal fields it silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys
@@ -27,7 +27,7 @@ in the text, marks the numbers with a point or an exponent before it parses, and
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 
 The header promises the following numbers: for every anchor 3 + d + 6 + 3 k attributes and k masks,
-the entries of the grid, and the weights and biases of all networks that the file holds: where
+the entries of the grid, and the weights and biases of all networks that the file contains: if
 nothing moves, psi_d does not count, whatever its widths. There are at most 2^24 entries of the grid
 and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes for each of
 these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON parser

@@ -15,11 +15,11 @@ from .plain import BOX, round_networks, valid_box
 
 
 class Quantised(NamedTuple):
-    """A model as its file holds it."""
+    """A model as its file contains it."""
 
     model: Model  # every array as a decoder will have it, float64
     positions: np.ndarray  # [A, 3]  0 to 65535, int64
-    symbols: np.ndarray  # [A, n]  int64, columns as `model.join`; 0 where nothing is coded
+    symbols: np.ndarray  # [A, n]  int64, columns as `model.join`; 0 if nothing is coded
     kept: np.ndarray  # [A, n]  bool: which symbols are coded; those of masked children are not
     context: CodingContext
 
@@ -53,7 +53,7 @@ def quantise(model):
     scene without view effects, hidden units that are zero for every anchor are dropped too. Dropped
     and masked numbers may have any value; all others must be finite.
 
-    Raises EncodeError, which names the array, and OverflowError, which names the element, where
+    Raises EncodeError, which names the array, and OverflowError, which names the element, if
     |f / q| is more than 2^31.
     """
     check_shapes(model)
@@ -106,7 +106,7 @@ def without_silent_units(model):
     widths = tuple(int(max(1, *map(np.sum, layers))) for layers in zip(*active.values()))
     networks = dict(model.networks)
     for name, layers in active.items():
-        # Active units first, then silent ones where another network of this width needs more.
+        # Active units first, then silent ones if another network of this width needs more.
         kept = [
             np.sort(np.argsort(~layer, kind="stable")[:width])
             for layer, width in zip(layers, widths)

@@ -26,7 +26,7 @@ L LANES, L a power of two, take turns and share one stack. Of n symbols, the las
 and n - m is a multiple of L. Symbol i < n - m belongs to lane i mod L, and the tail belongs to
 lane 0. With one lane the tail is the whole message. The encoder
 
-    1. sets lane 0 to 2^31 and pushes the tail, last symbol first, until the stack holds L words and
+    1. sets lane 0 to 2^31 and pushes the tail, last symbol first, until the stack has L words and
        the number of symbols left is a multiple of L;
     2. starts lane 1, then 2, ... L-1 at 2^31 + v, where v is 31 bits popped from lane 0, so that
        starting a lane costs nothing;
@@ -54,13 +54,13 @@ BYTES, all integers little-endian. A message of no symbols has no bytes. Any oth
 
     1 byte          bits 0 to 3: log2 L, from 0 to 10; bits 4 to 6: zero; bit 7: whether lane 0
                     has a high word
-    4 bytes         m, only where L > 1
-    4 or 8 bytes    the state of lane 0: its low word, then its high word where it is not zero
+    4 bytes         m, only if L > 1
+    4 or 8 bytes    the state of lane 0: its low word, then its high word if it is not zero
     4 bytes each    the words of the stack, its top first
 
 What follows the last word that is read does not belong to the message. The encoder may choose L.
 This one takes the largest power of two that leaves about 5000 bits to each lane, at most 1024, or 1
-where that would be below 32.
+if that would be below 32.
 
 Worked numbers. One table with the keys 0, 12582912, 16777216 gives its two entries the
 probabilities 3/4 and 1/4. The message 0 1 0 is pushed from its last symbol on: x = 2^31 becomes
@@ -200,7 +200,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     """Decode the message that begins at byte `at`; return entries [n] int32 and where it ends.
 
     `tables` [n] is the number of every symbol's table; `pop_rows` may be `pop_rows_plainly`. Raises
-    BitstreamError where the data end early or no encoder can have written them.
+    BitstreamError if the data end early or no encoder can have written them.
     """
     entries = np.empty(len(tables), np.int32)
     if len(tables) == 0:

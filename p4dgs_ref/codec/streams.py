@@ -18,8 +18,8 @@ predicts for them, and are decoded from it:
 
 In a file, sender and receiver compute mu_units and sigma_units in integers alone (`context.py`).
 
-GAUSSIAN STREAM. It holds n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder already
-knows. The stream of no symbols is empty. Otherwise it has two parts:
+GAUSSIAN STREAM. It contains n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder
+already knows. The stream of no symbols is empty. Otherwise it has two parts:
 
 1. The rANS message (`rans.py`) of the blocks K = floor(k / 2^low), each coded with the frequency
    table of its symbol (`gaussian_table.py`). A block outside the window is coded as the escape, the
@@ -27,7 +27,7 @@ knows. The stream of no symbols is empty. Otherwise it has two parts:
 
 2. The raw bits, which fill every byte from its lowest bit on. Unused bits of the last byte are 0.
 
-   a. For every symbol in order, its `low` low bits, lowest first. There are none where
+   a. For every symbol in order, its `low` low bits, lowest first. There are none if
       sigma / q < 32.
 
    b. For every escape in order, an integer v >= 1 in Elias's gamma code: with v = 2^b + r and
@@ -37,11 +37,11 @@ knows. The stream of no symbols is empty. Otherwise it has two parts:
 Both parts are read exactly to their end. Anything left over is an error, and so is a symbol beyond
 +-2^31.
 
-BIT STREAM. It holds n bits that share one probability, and it is empty for n = 0. Otherwise it
+BIT STREAM. It contains n bits that share one probability, and it is empty for n = 0. Otherwise it
 begins with f, the probability of a one times 2^24, as a 4-byte little-endian integer. f = 0 means
 that all bits are zero and f = 2^24 that all are one; nothing follows. For any other f the rANS
 message of the n bits follows. Its only table has the keys 0, 2^24 - f, 2^24: entry 0 is a zero,
-entry 1 a one. An encoder takes f = max(floor(ones * 2^24 / n), 1), and 0 where there are no ones.
+entry 1 a one. An encoder takes f = max(floor(ones * 2^24 / n), 1), and 0 if there are no ones.
 
 Worked numbers. The symbols 0, 5 and -40 above have mu_units = 307 and sigma_units = 9, so c = 0 and
 W = 13 (`gaussian_table.py`). -40 is coded as an escape with v = 2 (-13 + 40) = 54 = 2^5 + 22: its

@@ -18,7 +18,7 @@ def forward(
 ):
     """Return R_anchor [] in bits and what `backward` needs.
 
-    Masked offsets are left out even where their bits are infinite.
+    Masked offsets are left out even if their bits are infinite.
     """
     kept = np.where(mask[:, :, None], bits_O, 0)
     # Summed in float64: 1e8 float32 terms would lose the last ones.

@@ -15,9 +15,9 @@ def forward(
     x,  # [N, 3]  canonical centres (scene units)
     s,  # [N, 3]  canonical standard deviations (scene units)
     r,  # [N, 4]  canonical unit quaternions
-    delta_x,  # [N, 3]  movement; [N, 0] where the scene has no translation
-    delta_s,  # [N, 3]  stretching; [N, 0] where it has no scaling
-    delta_r,  # [N, 4]  turning; [N, 0] where it has no rotation
+    delta_x,  # [N, 3]  movement; [N, 0] if the scene has no translation
+    delta_s,  # [N, 3]  stretching; [N, 0] if it has no scaling
+    delta_r,  # [N, 4]  turning; [N, 0] if it has no rotation
 ):
     """Return x_t [N, 3], s_t [N, 3], r_t [N, 4] and what `backward` needs.
 

@@ -4,7 +4,7 @@ A level covers the box with `res` nodes along each of its axes. A point reads th
 cell around it with multilinear weights. The level's table has T rows of F entries each; a hashed
 row may belong to several nodes. Node (i, j, k), in the order of the level's axes, has the row
 
-    i + j res + k res**2                           where the table holds all nodes
+    i + j res + k res**2                           if the table contains all nodes
     (i XOR 2654435761 j XOR 805459861 k) mod T     elsewhere, products modulo 2**32
 
 This is the hash of Instant-NGP. Nodes on the border are included, HAC excludes them (Q11).
@@ -19,8 +19,8 @@ PRIMES = np.array([1, 2654435761, 805459861], np.uint32)  # one for each axis of
 def locate(x_a, lo, hi, resolutions, tables):
     """Return the weights of all anchors [A, 3] in all levels as one sparse matrix [A L, sum of T].
 
-    `tables` lists the number of rows T of every level's table. Row a L + i of the matrix holds the
-    weights of anchor a in level i; its columns are the rows of all tables. Reading the grids is
+    `tables` lists the number of rows T of every level's table. Row a L + i of the matrix contains
+    the weights of anchor a in level i; its columns are the rows of all tables. Reading the grids is
     then one product with this matrix, and their gradient one with its transpose.
     """
     A, L, starts = len(x_a), len(resolutions), np.cumsum([0, *tables])

@@ -20,8 +20,8 @@ def forward(
 ):
     """Return h [A, I], F numbers for each level in turn (I = L F), and what `backward` needs.
 
-    Raises ValueError where grids and resolutions differ in number, where a position is NaN or where
-    the box is not finite.
+    Raises ValueError if grids and resolutions differ in number, if a position is NaN or if the
+    box is not finite.
     """
     return query(locate(x_a, lo, hi, resolutions, [len(grid) for grid in grids]), grids)
 
@@ -29,7 +29,7 @@ def forward(
 def backward(saved, h_bar):
     """Return the gradients of the grids; positions and box are data.
 
-    Straight-through: the sign counts as the identity where |parameter| <= 1 and has no gradient
+    Straight-through: the sign counts as the identity if |parameter| <= 1 and has no gradient
     elsewhere.
     """
     located, inside = saved

@@ -2,7 +2,7 @@
 
     R_hash = N_pos * (-log2 p_pos) + N_neg * (-log2 p_neg)        p_pos = N_pos / (N_pos + N_neg)
 
-P-4DGS, section 3.3 (context entropy coding). Where all signs agree the rate is 0; HAC clamps the
+P-4DGS, section 3.3 (context entropy coding). If all signs agree the rate is 0; HAC clamps the
 probabilities to [1e-6, 1 - 1e-6] instead.
 """
 
@@ -29,7 +29,7 @@ def backward(saved, R_hash_bar):
     """Return the gradients of the grids, straight-through.
 
     The sign counts as the identity where |parameter| <= 1; beyond, the gradient is 0. It is also 0
-    where all signs agree, although the slope is infinite there.
+    if all signs agree, although the slope is infinite there.
     """
     grids, n_pos, n = saved
     slope = 0.0

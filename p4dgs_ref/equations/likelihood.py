@@ -46,7 +46,8 @@ def forward(
 
     Accurate for |f_noisy - mu| <= 1000 sigma and 1e-12 <= q / sigma <= 1e6; smooth everywhere,
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
-    ValueError where sigma, q or q / sigma is so small or so large that slopes overflow.
+    ValueError if f_noisy has no floats, or if sigma, q or q / sigma is so small or so large that
+    slopes overflow.
     """
     check_ranges(sigma, q, f_noisy.dtype)
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
@@ -152,7 +153,9 @@ def phi(v):
 
 @np.errstate(all="ignore")
 def check_ranges(sigma, q, dtype):
-    """Raise ValueError for the first entry with which slopes overflow in dtype; NaN passes."""
+    """Raise ValueError unless dtype is one of floats in which no slope overflows; NaN passes."""
+    if not np.issubdtype(dtype, np.floating):
+        raise ValueError(f"f_noisy: expected floats, got {dtype}")
     least = np.finfo(dtype).tiny
     ratio = np.divide(q, sigma, dtype=np.float64)
     for name, a in (("sigma", sigma), ("q", q), ("q / sigma", ratio)):

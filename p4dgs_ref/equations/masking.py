@@ -1,6 +1,6 @@
 """Which Gaussians are rendered: those that are opaque enough.
 
-    keep child i of anchor a where mask and alpha_ai >= tau_alpha
+    keep child i of anchor a if mask and alpha_ai >= tau_alpha
 
 P-4DGS, section 3.2, after Eq. (4). The paper excludes alpha < tau_alpha, so a Gaussian exactly on
 the threshold is kept (Scaffold-GS drops it).

@@ -27,7 +27,7 @@ def forward(
 def backward(saved, y_bar, needs_x=True) -> dict:
     """Return the gradients of x, unless `needs_x` is False, of weights and of biases.
 
-    A ReLU passes the gradient where its input was positive, so at 0 the gradient is 0.
+    A ReLU passes the gradient if its input was positive, so at 0 the gradient is 0.
     """
     inputs, weights = saved
     weights_bar, biases_bar = [None] * len(weights), [None] * len(weights)

@@ -18,7 +18,7 @@ def forward(
     """Return the symbols [A, n] int64, f_hat [A, n] and what `backward` needs.
 
     The symbols are what the entropy coder sees; a decoder multiplies them by q and never rounds.
-    A symbol has no sign of zero: f = -0 gives f_hat = 0. Raises OverflowError where f / q is
+    A symbol has no sign of zero: f = -0 gives f_hat = 0. Raises OverflowError if f / q is
     more than 2**31 in magnitude, or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

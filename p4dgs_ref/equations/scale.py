@@ -12,7 +12,7 @@ from .numerics import sigmoid, sigmoid_slope
 def forward(
     s_a,  # [A, 3]  scale of each anchor (scene units); linear, not its logarithm (Q5)
     f_a,  # [A, d]  feature of each anchor
-    delta_vc,  # [A, 1]  distance to the camera; [A, 0] where the scene has no view effects
+    delta_vc,  # [A, 1]  distance to the camera; [A, 0] if the scene has no view effects
     d_vc,  # [A, 3]  viewing direction; [A, 0] likewise
     weights,  # psi_s, d + 4 -> 3k
     biases,

@@ -33,7 +33,7 @@ def blur(a):
 
 
 def blocks(n):
-    """Yield every block of n rows, the rows of which it holds averages, and their weights."""
+    """Yield every block of n rows, the rows that are averaged for it, and their weights."""
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
         low, high = max(start - RADIUS, 0), min(start + BLOCK + RADIUS, n)

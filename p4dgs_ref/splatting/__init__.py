@@ -8,6 +8,6 @@ quaternion to a 3 x 3 matrix), `camera` and `projection` (3D Gaussian to 2D spla
 (`table`). Training and rendering run twins of them, which tests compare. `factored` is the twin of
 the first two; it keeps the digits of needles, Gaussians that are very long and thin. `compositing`
 evaluates every Gaussian at every pixel; its twin `fast` evaluates those that `tiles` lists for each
-tile of the image. `render` chains these, and `settings` holds the constants and says what may be
+tile of the image. `render` chains these, and `settings` contains the constants and says what may be
 left out.
 """

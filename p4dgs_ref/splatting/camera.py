@@ -31,8 +31,8 @@ class Camera:
 def look_at(position, target, f_x, f_y, width, height, c_x=None, c_y=None, up=(0.0, 0.0, 1.0)):
     """Return a camera at `position` that looks at `target`; `up` is drawn upwards in the image.
 
-    Without c_x or c_y the principal point is the image's centre. Raises ValueError where the target
-    is the position, and where `up` is the direction of the view or its opposite.
+    Without c_x or c_y the principal point is the image's centre. Raises ValueError if the target
+    is the position, or if `up` is the direction of the view or its opposite.
     """
     forward = np.subtract(target, position).astype(float)
     if not np.cross(forward, up).any():

@@ -6,12 +6,12 @@
 
 Kerbl et al. 2023 (3DGS), Eq. (3); P-4DGS uses it without a number. K_i is the conic, the inverse
 of the splat's covariance. This is the definition that `loop` and `fast` are compared with. It
-holds all pairs of N Gaussians and a block of pixels at once, and `backward` computes them again.
+keeps all pairs of N Gaussians and a block of pixels at once, and `backward` computes them again.
 """
 
 import numpy as np
 
-BLOCK = 1 << 20  # pairs of Gaussians and pixels held at once (bounds the memory)
+BLOCK = 1 << 20  # pairs of Gaussians and pixels in memory at once (bounds the memory)
 
 
 def forward(

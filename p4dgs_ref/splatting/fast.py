@@ -13,7 +13,7 @@ mean, conic and opacity follow in closed form.
 
 The time is proportional to the number of listed pairs, not to N H W. Tiles are taken in groups.
 Without gradients, only one group's alphas are in memory. With gradients, the alphas of all groups
-are kept, and their weights only where there is a single group.
+are kept, and their weights only if there is a single group.
 
 The lists by tile are those of Kerbl et al. 2023 (3DGS), the arrangement by ranks is this project's.
 `settings` says which pairs are listed and when a tile stops (Q21).
@@ -228,7 +228,7 @@ def composite(coefficients, T, stopped, settings, occlusion, clamps, keep):
 
     Also returns where alphas were clamped, as pairs of indices of the flat chunk and the slope of
     log alpha there. A few ranks are evaluated and composited at a time, so that they are still in
-    the cache. The weights take the place of A where no gradients are wanted.
+    the cache. The weights take the place of A if no gradients are wanted.
     """
     A = np.empty((len(coefficients), *T.shape), T.dtype)
     weights = np.empty_like(A) if keep and occlusion else A

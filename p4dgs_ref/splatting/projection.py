@@ -28,8 +28,8 @@ def forward(
 ):
     """Return mean2d [N, 2], cov2d and conic [N, 3], depth, visible [N] and what `backward` needs.
 
-    A row is culled, zero and not visible, where its depth is at or before `near`, where its camera
-    coordinates are not finite, and where the determinant of cov2d is not positive or not finite.
+    A row is culled, zero and not visible, if its depth is at or before `near`, if its camera
+    coordinates are not finite, or if the determinant of cov2d is not positive or not finite.
     The conic of a splat that is L pixels long is accurate to eps L**2 / blur.
     """
     (mean2d, depth, JW, in_front), saved_centers = project_centers(

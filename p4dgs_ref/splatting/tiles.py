@@ -24,10 +24,10 @@ def bin_splats(
 ):
     """List the pairs that `settings.footprint` asks for.
 
-    "ellipse" lists a pair exactly where alpha reaches `settings.cut` at some point of the tile,
+    "ellipse" lists a pair exactly if alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
     occlusion the Gaussians of a tile stand in the order of their index. Returns None, before the
-    pairs take memory, where there are more than MAX_PAIRS and the image can be cut between two rows
+    pairs take memory, if there are more than MAX_PAIRS and the image can be cut between two rows
     of tiles.
     """
     side = settings.tile
@@ -63,7 +63,7 @@ def listable(alpha, visible, settings):
 def pixel_bounds(mean, cov, alpha, width, height, settings):
     """Return first and last pixel [N, 2], x and y, of the rectangle where a Gaussian is evaluated.
 
-    It may reach beyond the image, and it is empty where the last pixel is before the first.
+    It may reach beyond the image, and it is empty if the last pixel is before the first.
     """
     if settings.footprint == "ellipse":
         reach = np.sqrt(largest_form(alpha, settings)[:, None] * cov[:, ::2])

@@ -65,11 +65,11 @@ def grow(p, statistics, preset, rng):
     """Return new anchors where projected centres have large gradients, {array name: new rows}.
 
     This is the rule of Scaffold-GS (Lu et al. 2024) with the constants of its code (Q16). Level i
-    looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that hold a child
-    with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. A random share of the
-    children, 1 - 0.5**(i+1), counts. Levels after the first are looked at only once an anchor was
-    added. Each number of a new anchor's feature is the largest one among the anchors whose children
-    are in its voxel.
+    looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that contain a
+    child with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. A random share
+    of the children, 1 - 0.5**(i+1), counts. Levels after the first are looked at only once an
+    anchor was added. Each number of a new anchor's feature is the largest one among the anchors
+    whose children are in its voxel.
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view

@@ -51,7 +51,7 @@ def train(
     """Fit a scene and return the model, ready to be rendered or encoded.
 
     `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
-    [A, 3] in scene units, without them at those of the scene, and at random where it has none. In
+    [A, 3] in scene units, without them at those of the scene, and at random if it has none. In
     `folder`, which must exist, a checkpoint is kept and renewed every SAVE_EVERY seconds; with
     `resume` training goes on from it. The progress line goes to `stream`.
 
@@ -60,8 +60,8 @@ def train(
     first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of few training
     views, of blank pictures, of starting points that merge or lie far off, of kernels that give
-    other bytes than on other machines, of anchors that stop growing because a file could not hold
-    more, of a model that draws nothing, and of one that draws little of what moves.
+    other bytes than on other machines, of anchors that stop growing because a file could not
+    contain more, of a model that draws nothing, and of one that draws little of what moves.
     """
     preset = choose(preset, changes)
     options = dict(settings=settings, points=points, folder=folder, resume=resume, stream=stream)
@@ -106,7 +106,7 @@ def fit(
             if time.monotonic() - saved > save_every:
                 save()
                 saved = time.monotonic()
-        save()  # then `deferred` raises KeyboardInterrupt where it was asked for
+        save()  # then `deferred` raises KeyboardInterrupt if it was asked for
     return trainer
 
 

@@ -71,7 +71,7 @@ def random_layers(rng, name, shapes):
 class Adam:
     """Adam (Kingma and Ba 2015); each array counts its steps from the first one it takes part in.
 
-    `first` and `second` hold the moments as Parameters with the layout of the optimised parameters,
+    `first` and `second` are the moments as Parameters with the layout of the optimised parameters,
     so that rows can be added and removed together.
     """
 

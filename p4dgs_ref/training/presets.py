@@ -178,7 +178,7 @@ TINY = Preset(
     min_opacity=0.03,
     mask_from=1800,
 )
-# The points of a real scene hold depths that its few cameras cannot measure: anchors stay there.
+# The points of a real scene have depths that its few cameras cannot measure: anchors stay there.
 TINY_REAL = replace(TINY, name="tiny_real", lr_x=PAPER_REAL.lr_x)
 # For tests.
 SMOKE = replace(
@@ -223,7 +223,7 @@ def widths(most):
 
 # What a field must be, in words and as a test; a field that is not listed must be a number that is
 # not negative. With larger rates, lengths and first parameters, or with smaller steps Q, a training
-# ends with weights beyond float16 or |f / q| beyond 2^31, which no file holds.
+# ends with weights beyond float16 or |f / q| beyond 2^31, which no file can contain.
 REQUIREMENTS = {name: number_from(1, most) for name, most in MAX_OF.items()} | by_field(
     {
         "anchors grow_every grow_init grow_hierarchy": number_from(1, MAX_VALUE),

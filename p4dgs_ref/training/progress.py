@@ -52,5 +52,5 @@ class Progress:
         if self.live:
             line = f"\r{line[: shutil.get_terminal_size().columns - 1]}\x1b[K"
         end = "" if self.live and done < total else "\n"
-        with suppress(OSError):  # where the disk is full or the terminal closed, training goes on
+        with suppress(OSError):  # if the disk is full or the terminal closed, training goes on
             print(line, end=end, file=self.stream, flush=True)

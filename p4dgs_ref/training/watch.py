@@ -33,7 +33,7 @@ def watch_calls(codes, see):
 
     `codes` is {code object: mark}. The event "call" comes before the first line of a function, with
     the value None; "return" comes after the last one, with the value that is returned, or None
-    where the call raised. `frame.f_locals` holds the arguments.
+    if the call raised. `frame.f_locals` has the arguments.
     """
 
     def profile(frame, event, value):
@@ -55,7 +55,7 @@ class NotFinite(ArithmeticError):
 def first_bad(arrays, where=""):
     """Return a phrase like "f_a[3, 1] is nan" for the first NaN or infinity, or None.
 
-    A list of arrays may stand in the place of an array. The phrase begins with `where`.
+    A list of arrays may take the place of an array. The phrase begins with `where`.
     """
     for name, value in arrays.items():
         listed = isinstance(value, (list, tuple))

@@ -63,6 +63,11 @@ def test_likelihood_names_what_is_not_positive(name, value, dtype):
         likelihood.forward(**inputs)
 
 
+def test_likelihood_of_integers_asks_for_floats():
+    with pytest.raises(ValueError, match="f_noisy: expected floats, got int64"):
+        likelihood.forward(*np.ones((4, 3, 2), np.int64))
+
+
 LEAST, MOST = 2.0**-1022, 2.0**1022
 ENDS = (5e-324, LEAST, 1e-300, 1e-10, 1.0, 1e10, 1e300, MOST)
 
