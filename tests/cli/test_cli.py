@@ -318,8 +318,7 @@ def test_a_line_tells_how_far_the_reading_of_pictures_is(place, monkeypatch, cap
     assert len(scene.test) == 2 and capsys.readouterr().err == "".join(said)
 
 
-def test_python_face_has_every_name():
-    assert all(getattr(p4, name) is not None for name in p4.__all__)
+def test_python_face_lists_its_names():
     assert set(p4.__all__) <= set(dir(p4))
     with pytest.raises(AttributeError, match="no attribute 'teleport'"):
         p4.teleport

@@ -1,6 +1,5 @@
 """The adapter's protocol against real processes: right ones, and ones that fail in every way."""
 
-import base64
 import json
 import os
 import shlex
@@ -156,41 +155,6 @@ def test_a_case_that_float32_cannot_hold_is_not_asked(port):
     assert verdict(port(), asked) == "ok"
 
 
-def test_what_a_port_is_sent(port, tmp_path):
-    """The whole request, lists flat, floats in the precision asked for, the handshake before it."""
-    ask = port(f"open({str(tmp_path / 'sent')!r}, 'a').write(text)", dtype="float32")
-    x = np.array([[1.5, -2.0, 1e300]])
-    got = ask.run(
-        case(
-            "c",
-            x=x,
-            **{"in.weights.0": np.eye(2), "in.mask": np.array([True]), "in.index": np.array([3])},
-        )
-    )
-    start, request = map(json.loads, (tmp_path / "sent").read_text(encoding="utf-8").splitlines())
-    assert start == {"p4dgs_oracle": 1, "dtype": "float32"}
-    assert {key: request[key] for key in ("id", "subject", "equation", "settings")} == {
-        "id": "identity/c",
-        "subject": "identity",
-        "equation": "some_equation",
-        "settings": {"near": 0.2, "axes": "xy"},
-    }
-    assert set(request["in"]) == {"x", "weights.0", "mask", "index"}
-    assert set(request["out_bar"]) == {"y"} and request["differentiable"] == ["x"]
-    sent = np.array([1.5, -2.0, np.inf], "<f4").tobytes()
-    assert request["in"]["x"] == {
-        "dtype": "F32",
-        "shape": [1, 3],
-        "data": base64.b64encode(sent).decode(),
-    }
-    assert [request["in"][name]["dtype"] for name in ("weights.0", "mask", "index")] == [
-        "F32",
-        "BOOL",
-        "I64",
-    ]
-    assert got["out.y"].dtype == np.float32 and got["out.y"][0, 2] == np.inf
-
-
 DEATHS = {
     "print('out of memory', file=sys.stderr); sys.exit(4)": "exit code 4; stderr: out of memory",
     "os.kill(os.getpid(), signal.SIGKILL)": "killed by signal 9",
@@ -317,17 +281,6 @@ def test_an_answer_that_cannot_be_read(twist):
         assert ask.child is None and "stderr: its last words" in message
     else:
         assert verdicts(ask, 1) == ["ok"] and ask.child is child
-
-
-def test_a_port_may_skip_or_fail():
-    ask, child = here(
-        "if n == 1: answer.update(skip='no gradients', out=None)\n"
-        "if n == 2: answer.update(error='a' * 9999, out=None)"
-    )
-    assert failure(ask) == ("skipped", "no gradients")
-    kind, message = failure(ask)
-    assert kind == "error" and len(message) < 1100
-    assert verdicts(ask, 1) == ["ok"] and ask.child is child
 
 
 def test_a_port_may_say_that_it_lacks_gradients_and_subjects(port):

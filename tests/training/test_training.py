@@ -278,22 +278,6 @@ def test_a_picture_of_too_many_pairs_is_trained_and_judged_in_halves(scene, monk
     assert "is there" in advice.after(trainer)
 
 
-def test_what_each_stage_moves(scene):
-    """Stages 1 and 2 train no deformation and no context, 3 deformation, 4 all but positions."""
-    trainer, before, moved = Trainer(scene, SMOKE), {}, {}
-    for iteration in range(SMOKE.iterations):
-        stage = trainer.stage
-        before = {name: a.copy() for name, a in trainer.parameters.arrays.items()}
-        trainer.step()
-        for name, a in trainer.parameters.arrays.items():
-            if a.shape == before[name].shape and not np.array_equal(a, before[name]):
-                moved.setdefault(stage, set()).add(name.split(".")[0])
-    base = {"f_a", "log_s", "log_l", "O_a", "psi_alpha", "psi_c", "psi_r", "psi_s"}
-    assert moved[1] == moved[2] == base | {"x_a"}
-    assert moved[3] == base | {"x_a", "psi_d"}
-    assert moved[4] - {"x_a"} == base | {"psi_d", "psi_p", "psi_q", "grid"}
-
-
 def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
     trainer = Trainer(scene, SMOKE)
     while trainer.iteration < SMOKE.stage_ends[2] + 1:
