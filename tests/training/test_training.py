@@ -1,7 +1,6 @@
 """Training: presets, Adam, learning rates, stages, positions, and where a NaN came from."""
 
 import io
-import os
 import re
 import sys
 from dataclasses import replace
@@ -30,7 +29,6 @@ from p4dgs_ref.training.presets import (
 )
 from p4dgs_ref.training.trainer import Trainer
 from p4dgs_ref.training.watch import NotFinite, equation_codes, watch_calls
-from tests import processes
 
 SHORT = replace(SMOKE, stage_ends=(1, 2, 3, 5))  # every stage, in five steps
 
@@ -396,16 +394,3 @@ def test_calls_are_watched_from_outside(scene):
     assert seen.count(("call", "scale", "backward")) == 1
     assert seen.count(("return", "compositing, fast", "forward")) == 1
     assert sum(event == "call" for event, *_ in seen) == len(seen) / 2
-
-
-# --- processes ---
-@pytest.mark.slow
-def test_prepare_comes_before_numpy():
-    """From Python it sets one BLAS thread, and leaves a number that the user has set."""
-    program = (
-        "import os, sys, p4dgs_ref as p4; p4.prepare(); assert 'numpy' not in sys.modules; "
-        "print(os.environ['OPENBLAS_NUM_THREADS'])"
-    )
-    others = {name: a for name, a in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    for environment, threads in ((others, "1"), ({**others, "OPENBLAS_NUM_THREADS": "3"}, "3")):
-        assert processes.run("-c", program, env=environment).stdout.strip() == threads
