@@ -748,12 +748,12 @@
     const alpha = opacity(networks.psi_alpha, geometry, A);
     const index = masking(alpha, masks, header.tau_alpha);
     return {
-      index,
-      alpha: gather(alpha, index, 1),
       x: gather(offsets(x_a, O_a, l_a), index, 3),
       s: gather(scale(networks.psi_s, s_a, geometry, A), index, 3),
       r: gather(rotation(networks.psi_r, geometry, A), index, 4),
+      alpha: gather(alpha, index, 1),
       color: gather(color(networks.psi_c, inputs("view_color"), A), index, 3),
+      index,
     };
   }
 
