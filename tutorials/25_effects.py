@@ -101,13 +101,13 @@ assert [2 * parameters_of_psi_d(effects) for effects in lists] == [107540, 10483
 # %%
 import p4dgs_ref as p4
 from p4dgs_ref.training.trainer import Trainer
-from p4dgs_ref.training.watch import equation_codes, watching
+from p4dgs_ref.training.watch import equation_codes, watch_calls
 
 
 def equations_in(function):
     """Return the equations that a function calls."""
     called = set()
-    with watching(equation_codes(), lambda event, mark, *_: called.add(mark[0])):
+    with watch_calls(equation_codes(), lambda event, mark, *_: called.add(mark[0])):
         function()
     return called
 

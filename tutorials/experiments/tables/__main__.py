@@ -22,6 +22,7 @@ def main(words):
     parser.add_argument("scene")
     parser.add_argument("--seeds", type=count, default=3)
     parser.add_argument("--iterations", type=count)
+    parser.add_argument("--anchors", type=count, help="ablate: + spatial prediction with so many")
     parser.add_argument("--quick", action="store_true", help="one seed, 100 iterations: a look")
     parser.of_rows("report/tables")
     options = parser.parse_args(words)
@@ -29,7 +30,8 @@ def main(words):
     seeds, iterations = options.seeds, options.iterations or table.ITERATIONS
     if options.quick:
         seeds, iterations = QUICK.values()
-    tasks = table.plan(scene, seeds, iterations)
+    more = [options.anchors] if options.anchors and table is ablate else []
+    tasks = table.plan(scene, seeds, iterations, *more)
     found = rows(tasks, options.table, options.folder, options.jobs)
     table.show(scene, tasks, found, options.folder)
 

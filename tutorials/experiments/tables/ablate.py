@@ -24,6 +24,7 @@ from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.trainer import Trainer
 
 from ..baselines import d3dgs
+from . import spatial
 from .methods import PAPERS, columns, preset_of, save, task_of
 from .writer import means, seeds_of, with_error
 
@@ -58,11 +59,13 @@ STEPS = {
     "no masking": {"mask_from": AFTER_LAST},
     "no deformation": {},
 }
+SPATIAL = "+ spatial prediction, {} anchors"  # the same step with the authors' network
 COLUMNS = {
     "step": "{label}",
     "bytes": "{bytes:,.0f}",
     "network": "{network_bytes:,.0f}",
     "Gaussians": "{gaussians_bytes:,.0f}",
+    "drawn": "{gaussians:,.0f}",
     "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
     "change %": "{percent}",
     "dB": "{gain}",
@@ -70,18 +73,25 @@ COLUMNS = {
 }
 
 
-def plan(scene, seeds, iterations):
-    """The Tasks of all steps and seeds."""
+def plan(scene, seeds, iterations, anchors=None):
+    """The Tasks of all steps and seeds; with a number of anchors, those of D3DGS and SPATIAL."""
     command = f"python -m tutorials.experiments.tables ablate {scene.name}"
     command += f" --seeds {seeds} --iterations {iterations}"
+    steps, spatial_name = STEPS, SPATIAL.format(anchors)
+    if anchors:
+        command += f" --anchors {anchors}"
+        changes = {**STEPS["+ spatial prediction"], "anchors": anchors}
+        steps = {"D3DGS": {}, spatial_name: changes}
     at_rest = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
     tasks = []
     for seed in range(seeds):
-        for name, changes in STEPS.items():
+        for name, changes in steps.items():
             method = "d3dgs" if name == "D3DGS" else PAPERS
             task = task_of(scene, method, seed, iterations, command, changes)._replace(name=name)
             if "stage_ends" in changes:
                 task = task._replace(make=make_plain, load=load_plain, ending="npy")
+            if name == spatial_name:
+                task = task._replace(make=make_spatial, load=load_spatial)
             if name == "fixed step":
                 task = task._replace(make=make_without_psi_q)
             if name == "no deformation":
@@ -117,6 +127,7 @@ def summaries(found):
     of_steps = {label: rows for (label,), rows in group_rows(found, "label").items()}
     names = [*PAPER]
     before = dict(zip(names[1:], names))
+    before |= {label: names[0] for label in of_steps if "anchors" in label}
     for row in means(found, "label"):
         name = row["label"]
         row["paper"] = PAPER.get(name, "-")
@@ -133,7 +144,16 @@ def summaries(found):
 # Scaffold-GS; the networks and the grid of the entropy coder are not.
 def make_plain(task, path, source=None):
     """Train and write such a file; returns its bytes by kind."""
-    model = Trainer(task.scene, preset_of(task), task.seed).run()
+    return write_plain(Trainer(task.scene, preset_of(task), task.seed).run(), task, path)
+
+
+def make_spatial(task, path, source=None):
+    """The same with the authors' network."""
+    return write_plain(spatial.Trainer(task.scene, preset_of(task), task.seed).run(), task, path)
+
+
+def write_plain(model, task, path):
+    """Write the file of a model; returns its bytes by kind."""
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
     network = {
         f"{name}.{kind}{i}": a
@@ -162,5 +182,11 @@ def load_plain(path):
     design = Design(**literal_eval(record["design"].item().decode()))
     attributes = [p[name] for name in Anchors._fields[:-1]]
     anchors = Anchors(*attributes, mask=np.ones(p["O_a"].shape[:2], bool))
-    networks = {name: p.network(name) for name in design.layers() if name not in CONTEXT_NETWORKS}
+    stored = dict.fromkeys(name.split(".")[0] for name in names if name.startswith("psi_"))
+    networks = {name: p.network(name) for name in stored}
     return Model(design, anchors, networks, [], bounding_box(anchors.x_a), p["background"])
+
+
+def load_spatial(path):
+    """The same of anchors that the authors' network moves."""
+    return spatial.MovedAnchors(**vars(load_plain(path)))
