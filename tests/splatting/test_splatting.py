@@ -39,6 +39,16 @@ def bin_splats(inputs, settings=FAST):
     return tiles.bin_splats(*(inputs[name] for name in names), settings)
 
 
+@pytest.mark.parametrize("x, listed", [(5.5, [0]), (6.5, [0, 1, 2]), (8.5, [1, 2, 3]), (9.5, [3])])
+def test_the_edge_of_a_tile(x, listed):
+    """A disc of radius 2 around (x, x); of four tiles, the first has the pixels 0 to 7."""
+    disc = dict(mean2d=[[x, x]], cov2d=[[1, 0, 1]], conic=[[1, 0, 1]], alpha=[0.5], depth=[1])
+    arrays = {name: np.array(value, float) for name, value in disc.items()}
+    radius_2 = FAST._replace(cut=0.5 * np.exp(-2))
+    lists = bin_splats(dict(arrays, visible=np.array([True]), width=16, height=16), radius_2)
+    assert lists.tile.tolist() == listed, f"tiles with an edge at 8 that a disc around {x} meets"
+
+
 @pytest.mark.parametrize("width, height", [(21, 12), (64, 7)])
 def test_a_camera_without_a_principal_point_has_it_in_the_middle_of_the_pixels(width, height):
     camera = look_at((0, -2, 0), (0, 0, 0), 50, 40, width, height)
