@@ -6,6 +6,7 @@ answers to the published cases, which `p4dgs_ref.oracle.doctor` compares with a 
 """
 
 from tests.workshop.mistakes import (
+    common,
     compositing,
     encoding,
     geometry,
@@ -32,6 +33,7 @@ MISTAKES = [
     *kernel.MISTAKES,
     *encoding.MISTAKES,
     *training.MISTAKES,
+    *common.MISTAKES,
 ]
 
 __all__ = ["MISTAKES", "Mistake", "NotApplicable"]

@@ -233,15 +233,19 @@ RENDER_LOSS = [
 # --- SSIM ---------------------------------------------------------------------------------------
 
 
-def reflected(given, cotangents):
-    """Images padded by their mirror; the windows whose centres lie in the image count."""
-    height, width, _ = given["image"].shape
-    places = np.pad(np.arange(height * width).reshape(height, width), 5, mode="reflect")
-    wide = {name: a.reshape(height * width, -1)[places] for name, a in given.items()}
-    out, bars = VALID.run(wide, cotangents)
-    image_bar = np.zeros_like(given["image"]).reshape(height * width, -1)
-    np.add.at(image_bar, places, bars["image"])
-    return out, {"image": image_bar.reshape(given["image"].shape)}
+def padded(mode):
+    """`run` for images that np.pad continues; the windows whose centres lie in the image count."""
+
+    def run(given, cotangents):
+        height, width, _ = given["image"].shape
+        places = np.pad(np.arange(height * width).reshape(height, width), 5, mode=mode)
+        wide = {name: a.reshape(height * width, -1)[places] for name, a in given.items()}
+        out, bars = VALID.run(wide, cotangents)
+        image_bar = np.zeros_like(given["image"]).reshape(height * width, -1)
+        np.add.at(image_bar, places, bars["image"])
+        return out, {"image": image_bar.reshape(given["image"].shape)}
+
+    return run
 
 
 VALID = edited(
@@ -264,7 +268,7 @@ SSIM = [
         "ssim",
         "ssim-reflect",
         "at the border the images are continued by their mirror (reflect padding), not by zeros",
-        reflected,
+        padded("reflect"),
     ),
     edited(
         "ssim",
