@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import effects as fx
-from ..equations.psnr import psnr
+from ..equations.render_loss import psnr
 from ..output import write_atomically
 from ..scenes.load import DESCRIPTION, read_scene_json
 from ..scenes.scene import MODEL_EFFECTS

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 
 from ..equations import ssim
-from ..equations.psnr import psnr
+from ..equations.render_loss import psnr
 from ..model import Model
 from ..scenes.scene import Scene, size_of
 from ..splatting.settings import FAST, Settings

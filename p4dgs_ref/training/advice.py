@@ -7,7 +7,7 @@ import numpy as np
 
 from .. import effects as fx
 from ..arithmetic import other_kernels
-from ..equations.psnr import psnr
+from ..equations.render_loss import psnr
 from ..messages import number_of
 from ..splatting import render
 from ..splatting.settings import FAST

@@ -4,7 +4,7 @@ import shutil
 import time
 from contextlib import suppress
 
-from ..equations.psnr import psnr
+from ..equations.render_loss import psnr
 from ..messages import number_of
 
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
-from p4dgs_ref.equations.psnr import psnr
+from p4dgs_ref.equations.render_loss import psnr
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
