@@ -134,7 +134,7 @@ def inner(a, b):
 
 
 def close(a, b, tolerance=1e-12):
-    """Whether a and b agree, up to a fraction of the largest number in b."""
+    """Return whether a and b agree, up to a fraction of the largest number in b."""
     off = np.abs(np.asarray(a) - b).max(initial=0)
     return bool(off <= tolerance * np.abs(b).max(initial=0))
 
@@ -383,5 +383,5 @@ def difference(mine, right, example=""):
 
 
 def is_whole(right):
-    """Whether the right numbers are integers, of which one is right or wrong but never near."""
+    """Return whether the right numbers are integers, which are right or wrong but never near."""
     return right.dtype.kind in "iub"

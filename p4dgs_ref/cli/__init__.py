@@ -24,7 +24,7 @@ def require_usage(condition, where, expected):
 
 
 def visible(text, kept=""):
-    """The text with an escape for every character that controls a terminal or cannot be shown."""
+    """Return the text with an escape for each character that a terminal obeys or cannot show."""
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in str(text))
 
 

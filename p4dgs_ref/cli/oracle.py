@@ -30,7 +30,7 @@ def export_vectors(arguments):
 
 
 def port_of(arguments):
-    """A context with the port that answers: a folder of answers, or a running program."""
+    """Yield the port that answers: a folder of answers, or a running program."""
     folder, command = arguments.folder, arguments.adapter
     require_usage(
         (folder is None) != (command is None),

@@ -5,13 +5,13 @@ from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, dif
 
 
 def quality(m):
-    """PSNR, also of the object alone where the scene has an alpha, and SSIM."""
+    """Return PSNR, also of the object alone if the scene has an alpha, and SSIM."""
     foreground = "" if m["psnr_fg_db"] is None else f" (object {m['psnr_fg_db']:.2f} dB)"
     return f"PSNR {m['psnr_db']:.2f} dB at {m['size']}{foreground}, SSIM {m['ssim']:.4f}"
 
 
 def size(m):
-    """The file compared with the same Gaussians without compression."""
+    """Return the file compared with the same Gaussians without compression."""
     return (
         f"file {m['bytes']:,} bytes, {m['ratio']:.1f} times smaller than its Gaussians as float32 "
         f"({m['explicit_bytes']:,} bytes); "
@@ -20,12 +20,12 @@ def size(m):
 
 
 def times(m):
-    """The times of the decoder and the renderer."""
+    """Return the times of the decoder and the renderer."""
     return f"decode {m['decode_seconds']:.3f} s, render {m['render_fps']:.0f} frames/s"
 
 
 def metrics(m, folder):
-    """The metrics of the main job in a few lines."""
+    """Return the metrics of the main job in a few lines."""
     return (
         f"scene {m['scene']}, preset {m['preset']}, seed {m['seed']}: "
         f"{number_of(m['anchors'], 'anchor')}, {number_of(m['gaussians'], 'Gaussian')}\n"
@@ -39,7 +39,7 @@ def metrics(m, folder):
 
 
 def evaluation(m, rows):
-    """One line a view, then the means."""
+    """Return one line a view, then the means."""
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:>{width}}  t {row['time']:.3f}  {quality(row)}" for row in rows]
     return "\n".join([*lines, f"mean of {len(rows)}: {quality(m)}", size(m), times(m)])
@@ -50,7 +50,7 @@ LEDGER = "{:16} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def ledger(rows, gaps):
-    """The sections of a file: bytes by the entropy, bytes in the file, and why they differ."""
+    """Return the sections of a file: bytes by the entropy, bytes in the file, why they differ."""
     file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
     heads = "section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each"
     columns = "name", *BYTES, "symbols", "bits_per_symbol"
@@ -61,17 +61,17 @@ def ledger(rows, gaps):
 
 
 def cell(value):
-    """A value in the table of sections; a part that has no symbols has empty cells."""
+    """Return a value in the table of sections; a part that has no symbols has empty cells."""
     return f"{value:.2f}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def setting(value):
-    """A field of a preset."""
+    """Return a field of a preset."""
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def preset(one, every_field):
-    """A preset beside the paper's two: all fields, or those that differ, with a star.
+    """Return a preset beside the paper's two: all fields, or those that differ, with a star.
 
     The last column says where the values of the paper's presets come from.
     """

@@ -6,7 +6,10 @@ class StudyError(ValueError):
 
 
 def entry(table, kind, name):
-    """The entry of a table by its name. Raises StudyError with the known names for another one."""
+    """Return the entry of a table by its name.
+
+    Raises StudyError with the known names for another one.
+    """
     if name not in table:
         raise StudyError(f"{kind} {name!r}: expected one of {', '.join(table)}")
     return table[name]

@@ -18,12 +18,12 @@ MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, where nothin
 
 
 def clocks():
-    """Seconds of the processor and of the wall clock [2]."""
+    """Return the seconds of the processor and of the wall clock [2]."""
     return np.array([time.process_time(), time.perf_counter()])
 
 
 def call_with_clocks(function):
-    """The result of a function, and the seconds [2] that it took on both clocks."""
+    """Return the result of a function, and the seconds [2] that it took on both clocks."""
     start = clocks()
     result = function()
     return result, clocks() - start
@@ -39,14 +39,14 @@ class Times(NamedTuple):
 
 
 def times_of(turns):
-    """The Times of turns [n, 2], in seconds of both clocks."""
+    """Return the Times of turns [n, 2], in seconds of both clocks."""
     processor, wall = 1e3 * np.array(turns).T
     low, median, high = np.percentile(processor, (25, 50, 75))
     return Times(float(median), float(low), float(high), float(wall.sum() / processor.sum()))
 
 
 def alternate(functions, repeats):
-    """The Times of one call of each function, {name: Times}.
+    """Return the Times of one call of each function, {name: Times}.
 
     The functions are called in turn, so that a disturbance meets all of them, after one call to
     warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
@@ -60,7 +60,7 @@ def alternate(functions, repeats):
 
 
 def differ(one, other):
-    """Whether two Times differ: by more than the wider of their ranges from quartile to quartile.
+    """Return whether two Times differ by more than the wider of their interquartile ranges.
 
     These ranges must not overlap either.
     """
@@ -70,7 +70,7 @@ def differ(one, other):
 
 
 def disturbance(stretch):
-    """A sentence where other programs disturbed the measurement, else nothing."""
+    """Return a sentence if other programs disturbed the measurement, else nothing."""
     if stretch <= MAX_STRETCH:
         return ""
     return (
@@ -81,7 +81,7 @@ def disturbance(stretch):
 
 
 def step_at(scene, preset, stage):
-    """A function that does the second step of a stage again and again.
+    """Return a function that does the second step of a stage again and again.
 
     The first step, which is done here, may have work that a stage does only once.
     """

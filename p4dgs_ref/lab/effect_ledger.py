@@ -43,7 +43,7 @@ def network_work(design, A, N):
 
 
 def effect_bytes(design):
-    """{effect: bytes} of the weights, two bytes each, that only this effect needs."""
+    """Return {effect: bytes} of the weights, two bytes each, that only this effect needs."""
 
     def size(effects):
         return 2 * declared_numbers(replace(design, effects=effects), 0)["networks"]
@@ -53,7 +53,7 @@ def effect_bytes(design):
 
 
 def costs(model, frames):
-    """What the effects of a model cost in frames, a list of (camera, time).
+    """Return what the effects of a model cost in frames, a list of (camera, time).
 
     Returns {effect: {"work": multiply-adds of the mean frame, "bytes"}}, and the equations that
     were called.
@@ -84,12 +84,12 @@ def costs(model, frames):
 
 # --- the ledger -----------------------------------------------------------------------------------
 def toggle_effect(scene, effect):
-    """The scene with one effect more, or less, on its list."""
+    """Return the scene with one effect more, or less, on its list."""
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
 def of_scene(scene):
-    """The ledger of a scene, from untrained models of the preset `tiny` and its test views.
+    """Return the ledger of a scene, from untrained models of `tiny` and its test views.
 
     Returns {"effects": a row {effect, listed, work, bytes} for each, "never_called": equations
     that no effect of the list needs}. An effect that is not listed has the fields if_work and
@@ -110,13 +110,13 @@ def of_scene(scene):
 
 # --- the ledger as text and as a picture ----------------------------------------------------------
 def amount(row, kind):
-    """The work or the bytes of a row, as text."""
+    """Return the work or the bytes of a row, as text."""
     if_listed = f" ({row[f'if_{kind}']:,} if listed)" if f"if_{kind}" in row else ""
     return f"{row[kind]:,}{if_listed}"
 
 
 def to_text(result):
-    """The ledger as text, a line per effect, and the equations that were never called."""
+    """Return the ledger as text, a line per effect, and the equations that were never called."""
     columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
     columns |= {"bytes of weights": "{bytes}"}
     cells = [
@@ -133,7 +133,7 @@ def to_text(result):
 
 @figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
 def draw_ledger(path, rows):
-    """Work and bytes of every effect.
+    """Draw work and bytes of every effect.
 
     Those that the scene does not list are at zero; in brackets is what they would cost.
     """

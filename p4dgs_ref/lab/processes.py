@@ -28,14 +28,14 @@ def end_with_parent():
 
 
 def call_and_record(function, *arguments):
-    """The result of a call in a worker, and the warnings that it gave."""
+    """Return the result of a call in a worker, and the warnings that it gave."""
     with warnings.catch_warnings(record=True) as given:
         result = function(*arguments)
     return result, [one.message for one in given]
 
 
 def result_of(result, given):
-    """The result of a call in a worker; its warnings are given again, by this process."""
+    """Return the result of a call in a worker; give its warnings again, in this process."""
     for warning in given:
         warnings.warn(warning, stacklevel=3)
     return result

@@ -4,14 +4,14 @@ import numpy as np
 
 
 def random_network(rng, *widths):
-    """Weights and biases of an MLP of the given widths, scaled to keep activations of order one."""
+    """Return weights and biases of an MLP whose activations are of order one."""
     pairs = list(zip(widths[:-1], widths[1:]))
     weights = [rng.normal(size=pair) / np.sqrt(max(pair[0], 1)) for pair in pairs]
     return weights, [rng.normal(size=n) * 0.3 for _, n in pairs]
 
 
 def random_field(rng, L_x, L_t, *hidden, heads=(3, 3, 4)):
-    """Inputs of the deformation network: hidden layers and three heads, L_x, L_t."""
+    """Return inputs of the deformation network: hidden layers and three heads, L_x, L_t."""
     weights, biases = random_network(rng, 3 * (1 + 2 * L_x) + 1 + 2 * L_t, *hidden, sum(heads))
     cuts = np.cumsum(heads[:2])
     weights[-1:] = np.split(weights[-1], cuts, axis=1)
@@ -20,7 +20,7 @@ def random_field(rng, L_x, L_t, *hidden, heads=(3, 3, 4)):
 
 
 def random_anchor_network(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):
-    """Inputs of an anchor network (Eqs. 3 and 4): features, view, weights and biases."""
+    """Return inputs of an anchor network (Eqs. 3 and 4): features, view, weights and biases."""
     d_vc = rng.normal(size=(A, 3))
     weights, biases = random_network(rng, d + 4, *hidden, k * outputs)
     return dict(
@@ -33,7 +33,7 @@ def random_anchor_network(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):
 
 
 def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
-    """Inputs of compositing: n splats of the given size in pixels, spread over an image."""
+    """Return inputs of compositing: n splats of a size in pixels, spread over an image."""
     angle, radii = rng.uniform(0, np.pi, n), rng.uniform(*sigma, size=(2, n))
     c, s, (p, q) = np.cos(angle), np.sin(angle), radii**-2.0
     center = ((width - 1) / 2, (height - 1) / 2)
@@ -48,6 +48,6 @@ def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
 
 
 def cov2d_of(conic):
-    """The covariances (a, b, c) of splats from their conics, which are the inverses."""
+    """Return the covariances (a, b, c) of splats from their conics, which are the inverses."""
     a, b, c = conic.T
     return np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]

@@ -54,7 +54,7 @@ class MisplacedCamera(Camera):
 
 
 def plan(scene):
-    """What is trained: (scene, effects of motion, effect, first view kept back, iterations)."""
+    """Return what is trained: (scene, effects of motion, effect, first view kept back, steps)."""
     moving = fx.MOTION if len({view.time for view in scene.train}) > 1 else ()
     return [
         (scene, moving, effect, fold, iterations)
@@ -65,19 +65,19 @@ def plan(scene):
 
 
 def steps_of(tasks):
-    """How many steps the pairs need; they share the first half unless the effect is occlusion."""
+    """Return how many steps the pairs need; they share half unless the effect is occlusion."""
     return sum((2 if effect == "occlusion" else 1.5) * n for _, _, effect, _, n in tasks)
 
 
 def seconds_of(scene, jobs=1):
-    """About how many seconds `suggest` takes, judging by steps in which things move."""
+    """Return about how many seconds `suggest` takes, judging by steps in which things move."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
     ms = alternate({"step": step}, 5)["step"].ms
     return 1e-3 * ms * steps_of(plan(scene)) / jobs
 
 
 def suggest(scene, progress=lambda line: None, jobs=1):
-    """The effects that a scene's training views call for; its list of effects is not read.
+    """Return the effects that a scene's training views call for, whatever its list of effects.
 
     Returns [{effect, called_for, verdict, evidence}] for the closed list in its order. The verdict
     is "yes", "no" or "cannot tell"; an effect is called for unless the verdict is "no". The
@@ -105,7 +105,7 @@ def suggest(scene, progress=lambda line: None, jobs=1):
 
 
 def gains_by_view(task):
-    """By how many dB an effect improves each view that was kept back: an array."""
+    """Return by how many dB an effect improves each view that was kept back: an array."""
     scene, moving, effect, fold, iterations = task
     views, effects = scene.train, {*moving, "occlusion", "background", effect}
     if effect == "occlusion":
@@ -120,7 +120,7 @@ def gains_by_view(task):
 
 
 def shuffle_views(views, effect, seed):
-    """The views with the times, or the places of the cameras, of other views."""
+    """Return the views with the times, or the places of the cameras, of other views."""
     other = [views[i] for i in np.random.default_rng(seed).permutation(len(views))]
     if effect in fx.MOTION:
         return [replace(view, time=theirs.time) for view, theirs in zip(views, other)]
@@ -131,7 +131,7 @@ def shuffle_views(views, effect, seed):
 
 
 def short(iterations):
-    """`tiny` without noise and rate: in its first half nothing moves and anchors grow."""
+    """Return `tiny` without noise and rate: at first nothing moves and anchors grow."""
     half = iterations // 2
     return replace(
         TINY,
@@ -145,7 +145,7 @@ def short(iterations):
 
 
 def scores(scene, first, seconds, effects, fold, iterations):
-    """PSNR (dB) of every view that is kept back, one array for each of `seconds`.
+    """Return PSNR (dB) of every view that is kept back, one array for each of `seconds`.
 
     The first half of a short training is given the views `first`, the second half those of one of
     the `seconds`.
@@ -168,7 +168,7 @@ def scores(scene, first, seconds, effects, fold, iterations):
 
 
 def verdict(effect, gains, count):
-    """(verdict, evidence) from the gains (dB) of the views that were kept back, a list of pairs.
+    """Return (verdict, evidence) from the gains (dB) of views that were kept back, in pairs.
 
     The gains of two pairs differ because their views do, and because trainings do; the larger of
     the two errors counts.
@@ -186,7 +186,7 @@ def verdict(effect, gains, count):
 
 
 def background(views, color):
-    """(verdict, evidence) about a colour behind the scene, from the pixels that show it."""
+    """Return (verdict, evidence) about a colour behind the scene, from pixels that show it."""
     shares = [
         np.mean(np.abs(view.image - color).max(axis=2) <= 0.02)
         if view.alpha is None

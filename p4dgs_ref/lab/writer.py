@@ -4,7 +4,7 @@ import csv
 
 
 def read_csv(path, texts=("sha256",)):
-    """The rows of a CSV without empty fields; what is a number becomes one, except in `texts`."""
+    """Return the rows of a CSV without empty fields; numbers become numbers, except in `texts`."""
     with open(path, newline="", encoding="utf-8") as file:
         return [
             {name: text if name in texts else as_number(text) for name, text in row.items() if text}
@@ -13,7 +13,7 @@ def read_csv(path, texts=("sha256",)):
 
 
 def as_number(text):
-    """The number that a text stands for, otherwise the text itself."""
+    """Return the number that a text stands for, or the text itself."""
     for kind in (int, float):
         try:
             return kind(text)
@@ -23,7 +23,7 @@ def as_number(text):
 
 
 def group_rows(rows, *keys):
-    """The rows that agree in some fields, {entries of these fields: rows}, in their order."""
+    """Return the rows that agree in some fields, {entries of these fields: rows}, in order."""
     groups = {}
     for row in rows:
         groups.setdefault(tuple(row.get(key) for key in keys), []).append(row)
@@ -31,7 +31,7 @@ def group_rows(rows, *keys):
 
 
 def text_table(columns, rows):
-    """Lines of text, the first column to the left, the others to the right.
+    """Return lines of text, the first column to the left, the others to the right.
 
     `columns` is {heading: form}; a form is filled with the fields of a row. Fields that are None or
     missing give a dash.
@@ -40,14 +40,14 @@ def text_table(columns, rows):
 
 
 def align(cells):
-    """Rows of text as lines, the first column to the left, the others to the right."""
+    """Return rows of text as lines, the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*cells)]
     forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
     return ["  ".join(map(format, line, forms)).rstrip() for line in cells]
 
 
 def fill_form(form, row):
-    """A form filled with a row, or a dash."""
+    """Return a form filled with a row, or a dash."""
     try:
         return form.format(**row)
     except (KeyError, TypeError):

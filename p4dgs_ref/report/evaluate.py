@@ -18,13 +18,13 @@ FLOATS_WITHOUT_SH_REST = 14
 
 
 def call_with_seconds(function, *args, **kwargs):
-    """The result of a function and the seconds it took."""
+    """Return the result of a function and the seconds it took."""
     start = time.perf_counter()
     return function(*args, **kwargs), time.perf_counter() - start
 
 
 def score(image, view):
-    """{psnr_db, psnr_fg_db, ssim} of one view.
+    """Return {psnr_db, psnr_fg_db, ssim} of one view.
 
     psnr_fg_db is over the object alone; it is None for a view without alpha or without an object.
     """
@@ -40,7 +40,7 @@ def score(image, view):
 
 
 def names_in_training(scene):
-    """The names of test views that are training views: same picture, or same camera and time."""
+    """Return the names of test views that are training views, by picture or by camera and time."""
 
     def marks(view):
         R, T = view.camera.R, view.camera.T
@@ -104,13 +104,13 @@ def evaluate(
 
 
 def explicit_bytes(model, gaussians, floats=FLOATS_PER_GAUSSIAN):
-    """Bytes of the same Gaussians and of the deformation network as plain float32."""
+    """Return the bytes of the same Gaussians and of the deformation network as plain float32."""
     weights = sum(a.size for arrays in model.networks.get("psi_d", ()) for a in arrays)
     return 4 * (gaussians * floats + weights)
 
 
 def compression(model, data, gaussians):
-    """The size of a model's file: in all, by component, and against uncompressed Gaussians."""
+    """Return the size of a model's file: in all, by component, against plain Gaussians."""
     explicit = explicit_bytes(model, gaussians)
     return {
         "bytes": len(data),
@@ -122,7 +122,7 @@ def compression(model, data, gaussians):
 
 
 def json_safe(metrics):
-    """The metrics for JSON: where decibels are infinite they are null, and "exact" is true."""
+    """Return the metrics for JSON: infinite decibels are null, and then "exact" is true."""
     metrics = {key: json_safe(a) if isinstance(a, dict) else a for key, a in metrics.items()}
     infinite = [key for key, a in metrics.items() if isinstance(a, float) and np.isinf(a)]
     return {**metrics, **dict.fromkeys(infinite), "exact": True} if infinite else metrics

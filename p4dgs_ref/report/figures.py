@@ -54,7 +54,7 @@ def figure_style(settings=STYLE):
 
 
 def new_figure(**settings):
-    """A figure that pyplot does not know: it has no window, and the program keeps its backend."""
+    """Return a figure unknown to pyplot: it has no window, and the program keeps its backend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -62,7 +62,7 @@ def new_figure(**settings):
 
 
 def subplots(*shape, figsize, layout="constrained", **settings):
-    """A new figure and its axes, like those of pyplot."""
+    """Return a new figure and its axes, like those of pyplot."""
     figure = new_figure(figsize=figsize, layout=layout)
     return figure, figure.subplots(*shape, **settings)
 
@@ -85,7 +85,7 @@ def write_csv(path, rows):
 
 
 def error_of(image, truth):
-    """The absolute error [H, W] of an image, mean of R, G and B, and its mean as a title."""
+    """Return the absolute error [H, W] of an image, the mean of R, G and B, and it as a title."""
     error = np.abs(image - truth).mean(axis=2)
     return error, f"mean {error.mean():.3f}"
 
@@ -97,7 +97,7 @@ def literal(text):
 
 @figure_style()
 def draw_pictures(path, title, rows):
-    """Rows (label, [(picture, title), ...]) of pictures; the last row must be one of errors."""
+    """Draw rows (label, [(picture, title), ...]); the last row must be one of errors."""
     shape = len(rows), len(rows[0][1])
     figure, axes = subplots(
         *shape, figsize=(2.6 * shape[1] + 0.5, 9.2 / 3 * shape[0]), squeeze=False
@@ -123,7 +123,7 @@ def draw_pictures(path, title, rows):
 
 
 def write_comparison(folder, scene, rows, images, count=4):
-    """comparison.csv, and comparison.png: truth, decoded image and absolute error of a few views.
+    """Write comparison.csv, and comparison.png: truth, decoded image and error of a few views.
 
     The views are test views spread over time.
     """
@@ -144,7 +144,7 @@ def write_comparison(folder, scene, rows, images, count=4):
 
 
 def fixed_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
-    """The camera that looks at the middle of the box of a model's anchors; angles in degrees."""
+    """Return the camera that looks at the middle of the anchors' box; angles in degrees."""
     azimuth, elevation = np.radians([azimuth, elevation])
     middle, level = (model.box[0].astype(float) + model.box[1]) / 2, np.cos(elevation)
     outward = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
@@ -153,14 +153,14 @@ def fixed_camera(model, azimuth=40.0, elevation=30.0, distance=3.6, size=128):
 
 
 def gif_of(images):
-    """The bytes of a GIF of images (H, W, 3) in [0, 1] that plays forwards and backwards."""
+    """Return the bytes of a GIF of images (H, W, 3) in [0, 1] that plays forwards and backwards."""
     pictures = (*images, *images[-2:0:-1])
     frames = [(image * 255).round().astype(np.uint8) for image in pictures]
     return image_bytes(frames, ".gif", duration=60, loop=0)
 
 
 def write_motion(path, model, camera, frames=24):
-    """A GIF of the model over time, seen by a fixed camera; small pictures are enlarged."""
+    """Write a GIF of the model over time, seen by a fixed camera; small pictures are enlarged."""
     zoom = max(1, min(4, 256 // camera.width))
     images = [
         np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
@@ -171,7 +171,7 @@ def write_motion(path, model, camera, frames=24):
 
 @figure_style()
 def write_size(folder, name, metrics):
-    """size.csv and size.png: the bytes of a file by component, from the largest to the smallest."""
+    """Write size.csv and size.png: the bytes of a file by component, the largest first."""
     components, size = metrics["components"], metrics["bytes"]
     write_csv(
         folder / "size.csv",
@@ -195,7 +195,7 @@ def write_size(folder, name, metrics):
 
 
 def heat_image(model, colors, camera, t, settings=FAST):
-    """The model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
+    """Return the model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
     g = model.gaussians(t, camera)
     (image, *_), _ = render.forward(
         g.x,
@@ -213,7 +213,7 @@ def heat_image(model, colors, camera, t, settings=FAST):
 
 @figure_style()
 def write_training(folder, history, stage_ends):
-    """training.csv, and training.png: PSNR of the training views and L_rate over four stages."""
+    """Write training.csv, and training.png: PSNR of the training views and L_rate over stages."""
     write_csv(folder / "training.csv", [dict(zip(COLUMNS, row)) for row in history])
     table = dict(zip(COLUMNS, np.array(history, float).T))
     figure, (top, bottom) = subplots(2, 1, figsize=(8.5, 6), sharex=True)

@@ -20,14 +20,14 @@ GAPS = {
 
 
 def entropy_bits(flags):
-    """N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the least that it can cost."""
+    """Return N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the least it can cost."""
     n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
     n = n[n > 0]
     return float((n * np.log2(n.sum() / n)).sum())
 
 
 def float_context(model):
-    """The context as training computes it, in float64; `context.py` computes it in integers."""
+    """Return the context as training computes it, in float64; the codec's is in integers."""
     design, (lo, hi) = model.design, (corner.astype(float) for corner in model.box)
     return context(
         design,
@@ -38,12 +38,12 @@ def float_context(model):
 
 
 def stream_header(body, before):
-    """How many bytes of a section precede the coder's state: `before`, the lane byte, the tail."""
+    """Return how many bytes of a section precede the coder's state: `before`, lane byte, tail."""
     return before + 1 + 4 * (body[before] & 15 > 0) if len(body) > before else len(body)
 
 
 def ledger(data):
-    """One row for the container and one for every section; their `bytes` add up to len(data).
+    """Return a row for the container and each section; their `bytes` add up to len(data).
 
     A row has name, bytes, payload_bytes and header_bytes (whose sum is bytes), estimate_bytes (the
     entropy under the float model), integer_bytes (under the integer frequencies), symbols and
@@ -82,7 +82,7 @@ def ledger(data):
 
 
 def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
-    """A row of the ledger; `estimate` and `coded` in bits, None for content stored as it is."""
+    """Return a row; `estimate` and `coded` are bits, or None for content stored as it is."""
     payload = size - header
     sizes = [float(payload if bits is None else bits / 8) for bits in (estimate, coded)]
     return {
@@ -98,7 +98,7 @@ def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
 
 
 def symbol_bits(q):
-    """The bits [A, n] of every symbol under the integer frequencies, 0 where nothing is coded."""
+    """Return the bits [A, n] of symbols under the integer frequencies, 0 where none is coded."""
     bits = np.zeros(q.kept.shape)
     bits[q.kept] = ideal_bits_gaussian(
         q.symbols[q.kept], q.context.mu_units[q.kept], q.context.sigma_units[q.kept]
@@ -107,7 +107,7 @@ def symbol_bits(q):
 
 
 def anchor_bits(data):
-    """The model of a file, and the bits [A] of each anchor: its position, attributes and masks."""
+    """Return the model of a file, and the bits [A] of each anchor: position, attributes, masks."""
     sections = read_container(data)
     q = quantised_of(sections)
     mask = q.model.anchors.mask
@@ -116,6 +116,6 @@ def anchor_bits(data):
 
 
 def components(data):
-    """The bytes of every section, the container's own among those of the header: {name: bytes}."""
+    """Return {name: bytes} of every section; the container's own are among those of the header."""
     sizes = {name: len(body) for name, body in read_container(data).items()}
     return {**sizes, "header": sizes.get("header", 0) + len(data) - sum(sizes.values())}

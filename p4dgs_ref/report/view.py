@@ -11,7 +11,7 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 
 
 def page(files, notes=None):
-    """The page as bytes, whole in itself: `with_files` with the scripts inside of it."""
+    """Return the page as bytes, whole in itself: `with_files` with the scripts inside of it."""
     return re.sub(
         r'<script src="(.*)">',
         lambda tag: "<script>\n" + (VIEWER / tag[1]).read_text(encoding="utf-8"),
@@ -20,7 +20,7 @@ def page(files, notes=None):
 
 
 def with_files(files, notes=None):
-    """The text of page.html with files {path: bytes}; it shows the first one when it is opened.
+    """Return the text of page.html with files {path: bytes}; the first one is shown first.
 
     `notes` {path: {...}} say more of a file: `anchor` is the one that the guide follows. Files with
     `lambda_rate` and `psnr_db` (against the true pictures) give the guide its last step.

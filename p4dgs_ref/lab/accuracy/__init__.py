@@ -71,7 +71,7 @@ QUESTIONS = {
 
 
 def measure(progress=lambda line: None):
-    """The rows of all questions."""
+    """Return the rows of all questions."""
     rows = []
     for name, question in QUESTIONS.items():
         progress(f"accuracy: {name}")
@@ -81,7 +81,7 @@ def measure(progress=lambda line: None):
 
 
 def measure_in_turns(choices):
-    """{choice: its loss and Times} of forms {choice: (run, loss)}, which take turns."""
+    """Return {choice: its loss and Times} of forms {choice: (run, loss)}, which take turns."""
     with np.errstate(all="ignore"):
         times = alternate({choice: run for choice, (run, _) in choices.items()}, TURNS)
         return {
@@ -91,17 +91,17 @@ def measure_in_turns(choices):
 
 
 def read(path):
-    """The rows of a record, accuracy.csv."""
+    """Return the rows of a record, accuracy.csv."""
     return read_csv(path, TEXTS)
 
 
 def by_question(rows):
-    """The rows of each question, {name: rows}, the reference first."""
+    """Return the rows of each question, {name: rows}, the reference first."""
     return {name: group for (name,), group in group_rows(rows, "question").items()}
 
 
 def comparison(row, reference):
-    """A row beside its reference: what is lost, and how many times as fast it is, as text."""
+    """Return a row beside its reference as text: what is lost, and how many times as fast it is."""
     one, other = (Times(r["ms"], r["ms_low"], r["ms_high"], 1) for r in (row, reference))
     factor = one.ms / other.ms
     faster = f"{1 / factor:.3g} times as fast" if factor < 1 else f"{factor:.3g} times as slow"
@@ -116,17 +116,17 @@ def comparison(row, reference):
 
 
 def duration(ms):
-    """A time in three digits, with its unit."""
+    """Return a time in three digits, with its unit."""
     return f"{ms / 1e3:.3g} s" if ms >= 1e3 else f"{ms:.3g} ms"
 
 
 def disturbance_note(rows):
-    """A sentence where other programs disturbed what was timed, else nothing."""
+    """Return a sentence if other programs disturbed what was timed, else nothing."""
     return disturbance(max(row["stretch"] for row in rows))
 
 
 def to_text(rows):
-    """The table: every choice but the references, with what it saves and loses."""
+    """Return the table: every choice but the references, with what it saves and loses."""
     columns = {"question": "{question}", "choice": "{choice}", "time": "{time}"}
     columns |= {"instead of": "{reference}", "its time": "{was}", "so it is": "{faster}"}
     columns |= {"what is lost": "{lost}"}

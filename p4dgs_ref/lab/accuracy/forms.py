@@ -25,26 +25,26 @@ CODED_NUMBERS = 200 * 34  # of 200 anchors in the preset `tiny`
 
 # --- rendering -----------------------------------------------------------------------------------
 def splat_scene(n=1000, side=64):
-    """n random splats and the frame of an image, as arguments of the fast renderer."""
+    """Return n random splats and the frame of an image, as arguments of the fast renderer."""
     splats = random_splats(np.random.default_rng(0), n, side, side)
     frame = dict(background=np.array([0.9, 0.5, 0.2]), height=side, width=side)
     return {**splats, **frame, "cov2d": cov2d_of(splats["conic"])}
 
 
 def exact_image(scene):
-    """The image with every splat at every pixel."""
+    """Return the image with every splat at every pixel."""
     (image, _), _ = compositing.forward(**{k: a for k, a in scene.items() if k != "cov2d"})
     return image
 
 
 def image_of(renderer, scene, settings):
-    """The image that `loop` or `fast` draws."""
+    """Return the image that `loop` or `fast` draws."""
     (image, _), _ = renderer.forward(**scene, settings=settings)
     return image
 
 
 def renderer():
-    """The loop over splats, its exact twin, the fast renderer, and it as 3DGS's kernel."""
+    """Return the loop over splats, its exact twin, the fast renderer, and it as 3DGS's kernel."""
     scene = splat_scene()
     draw = {
         "loop": partial(image_of, loop, scene, EXACT),
@@ -61,7 +61,7 @@ def renderer():
 
 
 def precision():
-    """The gradients of the fast renderer, forward and backward, in either precision."""
+    """Return the gradients of the fast renderer, forward and backward, in either precision."""
     scene = splat_scene()
     image_bar = np.random.default_rng(1).normal(size=(scene["height"], scene["width"], 3))
 
@@ -79,7 +79,7 @@ def precision():
 
 # --- bits ----------------------------------------------------------------------------------------
 def bins(limits=DOMAIN, n=20_000):
-    """n random distances and widths that float32 can hold, on both sides of the mean: 2n bins."""
+    """Return n random distances and widths in float32, on both sides of the mean: 2n bins."""
     rng = np.random.default_rng(0)
     drawn = (np.exp(rng.uniform(np.log(low), np.log(high), n)) for low, high in limits)
     z, w = (a.astype(np.float32).astype(float) for a in drawn)
@@ -87,7 +87,7 @@ def bins(limits=DOMAIN, n=20_000):
 
 
 def eq_11():
-    """Formulas of Eq. (11) on bins on both sides of the mean: the share that is wrong, in %."""
+    """Return formulas of Eq. (11) on both sides of the mean, and the share in % that is wrong."""
     z, w = bins()
     inputs = formulas.inputs(z, w, "float64")
     bits = -formulas.truth(z, w)[0] / np.log(2)
@@ -101,7 +101,7 @@ def eq_11():
 
 
 def noise_draws():
-    """The rate with some draws of the noise against its mean over all noise, in % of the bits.
+    """Return the rate by some draws of the noise; the loss is against its mean, in % of the bits.
 
     The loss is the standard error of the sum of all bits.
     """

@@ -26,7 +26,7 @@ TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bi
 
 
 def formula_of(log_p_of, folded=True):
-    """A formula in the form of `likelihood.forward`, from a function of a bin's two edges.
+    """Return a formula in the form of `likelihood.forward`, from a function of a bin's two edges.
 
     The function takes low and high and returns log p and its slopes in z and w. `folded` mirrors a
     bin below the mean to the other side.
@@ -56,31 +56,34 @@ def phi(v):
 
 
 def slopes(at_low, at_high):
-    """The slopes of p in z and w, from the densities at the edges."""
+    """Return the slopes of p in z and w, from the densities at the edges."""
     return at_high - at_low, 0.5 * (at_high + at_low)
 
 
 def difference(low, high):
-    """Eq. (11) as printed, in the precision of the inputs."""
+    """Return Eq. (11) as printed, in the precision of the inputs."""
     p = ndtr(high) - ndtr(low)
     return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
 
 
 def with_floor(low, high):
-    """The printed formula with HAC's floor under p. On the floor the gradient is 0."""
+    """Return the printed formula with HAC's floor under p.
+
+    On the floor the gradient is 0.
+    """
     log_p, *rest = difference(low, high)
     above = log_p >= math.log(HAC_FLOOR)  # False for NaN as well
     return np.where(above, log_p, math.log(HAC_FLOOR)), *(np.where(above, a, 0) for a in rest)
 
 
 def tails(low, high):
-    """The difference of the two tails on the bin's side of the mean: no values near one cancel."""
+    """Return the difference of both tails on the bin's side: no values near one cancel."""
     p = ndtr(-low) - ndtr(-high)
     return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
 
 
 def lookup_table(entries):
-    """The formula that reads Phi from a table of `entries` per sigma, interpolating linearly.
+    """Return the formula that interpolates Phi in a table of `entries` per sigma.
 
     It takes the density from the slope of the same table.
     """
@@ -112,7 +115,7 @@ FORMULAS = {
 
 # --- the truth -----------------------------------------------------------------------------------
 def truth(z, w):
-    """log p and its slopes in z and w for vectors z and w > 0, in float64.
+    """Return log p and its slopes in z and w for vectors z and w > 0, in float64.
 
     Computed by quadrature of the density instead of a formula of Phi. All sums are of positive
     terms, so the error is a few units in the last place.
@@ -135,7 +138,7 @@ def truth(z, w):
 
 
 def scaled_mass(a, w):
-    """The mass from a to a + w, divided by the density at a, for a >= 0.
+    """Return the mass from a to a + w, divided by the density at a, for a >= 0.
 
     It is the integral of exp(-a t - t^2/2) over 0 ... w, cut where the integrand is e^-40.
     """
@@ -147,7 +150,7 @@ def scaled_mass(a, w):
 
 @cache
 def quadrature(panels=8, points=20):
-    """Gauss-Legendre nodes and weights on [0, 1].
+    """Return Gauss-Legendre nodes and weights on [0, 1].
 
     The interval is cut into panels because the weights of one long rule lose digits at its ends.
     """
@@ -157,7 +160,7 @@ def quadrature(panels=8, points=20):
 
 
 def check_truth():
-    """The largest relative distance of the quadrature from 60-digit values: of bits, of slopes."""
+    """Return the largest relative distance of bits and slopes from 60-digit values."""
     z, w, *exact = np.array(json.loads(DIGITS.read_text(encoding="utf-8"))).T
     bits_error, slopes_error = relative_errors(in_bits(truth(z, w)), exact)
     return bits_error.max(), slopes_error.max()
@@ -165,13 +168,13 @@ def check_truth():
 
 # --- errors --------------------------------------------------------------------------------------
 def inputs(z, w, dtype):
-    """Inputs of Eq. (11) with mu = 0 and sigma = 1, as one row."""
+    """Return inputs of Eq. (11) with mu = 0 and sigma = 1, as one row."""
     z, w = (np.asarray(a, dtype).reshape(1, -1) for a in (z, w))
     return dict(f_noisy=z, mu=np.zeros_like(z), sigma=np.ones_like(z), q=w)
 
 
 def errors(formula, z, w, dtype):
-    """Errors of the bits, relative above SMALLEST_BITS, and of the slopes, relative to the larger.
+    """Return errors of bits, relative above SMALLEST_BITS, and of slopes, relative to the larger.
 
     z and w are vectors of numbers that float32 can hold, so that both precisions have one truth.
     """
@@ -182,19 +185,21 @@ def errors(formula, z, w, dtype):
 
 
 def in_bits(logarithms):
-    """The negative of log p and of its slopes, in bits."""
+    """Return the negative of log p and of its slopes, in bits."""
     return [-a / math.log(2) for a in logarithms]
 
 
 def relative_errors(numbers, exact):
-    """The relative errors of (bits, slope, slope) against exact ones: of bits, and of slopes."""
+    """Return the relative errors of bits and slopes against exact ones: of bits, and of slopes."""
     gap = np.abs(np.array(numbers) - exact)
     largest = np.abs(exact[1:]).max(axis=0)
     return gap[0] / np.maximum(exact[0], SMALLEST_BITS), relative_to(largest, gap[1:].max(axis=0))
 
 
 def relative_to(largest, gap):
-    """gap / largest; where both are 0 there is no error, where only `largest` is 0 it is 1.
+    """Return gap / largest.
+
+    If both are 0 there is no error; if only `largest` is 0, it is 1.
 
     Gaps that float64 holds with fewer digits than others are none.
     """

@@ -124,7 +124,7 @@ def reason(key, student):
 
 # --- inputs that are held back -------------------------------------------------------------------
 def is_ordinary(case):
-    """Whether a case has typical inputs."""
+    """Return whether a case has typical inputs."""
     return case.record["flags"] == ["ordinary"]
 
 

@@ -90,7 +90,7 @@ class Lock:
 
 
 def lock(key):
-    """From now on only those modules of the project can be imported that an equation imports.
+    """Let only those modules of the project be imported that an equation imports.
 
     The equation itself cannot.
     """

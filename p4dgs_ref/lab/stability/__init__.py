@@ -58,7 +58,7 @@ LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
 # --- the table ------------------------------------------------------------------------------------
 @cache
 def hard_cases():
-    """{id: case}, in the order of the table."""
+    """Return {id: case}, in the order of the table."""
     cases = json.loads(FILE.read_text(encoding="utf-8"))
     keys = {case["equation"] for case in cases}
     vectors = {vector.id: vector for key in keys for vector in published.cases(key)}
@@ -66,7 +66,7 @@ def hard_cases():
 
 
 def with_arrays(case, vectors):
-    """A case with its inputs, cotangents and true values, {"x": array, "x_a_bar": array}."""
+    """Return a case with its inputs, cotangents and true values, {"x": array, "x_a_bar": array}."""
     vector = vectors[f"{case['equation']}/{case['id']}"]
     tensors = dict(vector.tensors)
     for name, index, value in case.get("exact", []):
@@ -100,7 +100,7 @@ def rows(only=None):
 
 
 def measure(case, dtype):
-    """What an equation returns on a case in one precision, with its errors and a verdict.
+    """Return what an equation returns on a case in one precision, its errors and a verdict.
 
     Errors are relative; one that is NaN fails, and None means that there is no gradient.
     """
@@ -124,27 +124,27 @@ def measure(case, dtype):
 
 
 def worst(arrays, true, each):
-    """The largest error of all arrays with true values; None without any."""
+    """Return the largest error of all arrays with true values; None without any."""
     return max(
         (relative(a, true[name], each) for name, a in arrays.items() if name in true), default=None
     )
 
 
 def pick(values, index):
-    """One number of an array, or of a list of arrays, whose first index says which array."""
+    """Return one number of an array, or of a list of arrays: the first index says of which."""
     if isinstance(values, list):
         values, index = values[index[0]], index[1:]
     return np.asarray(values)[tuple(index)]
 
 
 def json_number(value):
-    """A number that JSON can hold: infinities and NaN become text."""
+    """Return a number that JSON can express: infinities and NaN become text."""
     value = value.item() if isinstance(value, (np.ndarray, np.generic)) else value
     return str(value) if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def relative(got, want, each):
-    """The largest error, relative to each number or to the largest of its array.
+    """Return the largest error, relative to each number or to the largest of its array.
 
     Where the true value is 0 the error is absolute; where it is NaN there is nothing to compare.
     """
@@ -161,7 +161,7 @@ def relative(got, want, each):
 
 
 def to_text(rows):
-    """The table as text, and at the end the rows that fail."""
+    """Return the table as text, and at the end the rows that fail."""
     shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
     failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
     end = f"{len(rows)} rows, {len(failed)} beyond their bounds"
@@ -169,7 +169,7 @@ def to_text(rows):
 
 
 def as_text(name, value):
-    """A value of a row; numbers have at most 16 characters, and errors two digits."""
+    """Return a value of a row as text: numbers of at most 16 characters, errors of two digits."""
     digits = ".1e" if name in ("error", "grad_error") else ".8g"
     text = f"{value:{digits}}" if isinstance(value, float) else "" if value is None else str(value)
     return text[:15] + "~" if name in ("literal", "ours", "true") and len(text) > 16 else text
@@ -177,7 +177,7 @@ def as_text(name, value):
 
 # --- the map --------------------------------------------------------------------------------------
 def plane():
-    """Distances, of both signs, and widths of the plane: two axes of numbers that float32 holds."""
+    """Return two axes of numbers of float32: distances, of both signs, and widths."""
     above, widths = (
         np.logspace(*limits, 73).astype(np.float32).astype(float) for limits in (DISTANCES, WIDTHS)
     )
@@ -185,7 +185,7 @@ def plane():
 
 
 def maps():
-    """log10 of the error of the bits, {(formula, dtype): array (distances, widths)}.
+    """Return log10 of the error of the bits, {(formula, dtype): array (distances, widths)}.
 
     Errors are relative above 1e-6 bits, and infinite where a formula gives NaN or infinity.
     """
