@@ -1,5 +1,6 @@
 """Growing, re-seeding, pruning and masking of anchors, by hand and in training."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -63,8 +64,11 @@ def test_growing_stops_at_what_a_file_may_hold(scene, monkeypatch):
     trainer.iteration, trainer.rng = 1600, Always
     most = sum(model.declared_numbers(trainer.design, 12).values())
     monkeypatch.setattr(model, "MAX_NUMBERS", most)
-    with pytest.warns(UserWarning, match="^no more anchors grow: a file could not hold them$"):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         trainer.adjust()
+    texts = [str(warning.message) for warning in told]
+    assert texts == ["no more anchors grow: a file could not hold them"], "warning of growing"
     assert trainer.count == 12
     statistics.opacity[:3], statistics.visits[:], statistics.seen[:] = 0, 100, 100
     statistics.opacity[3:], statistics.gradient[5, 2] = 50, 100.0
