@@ -91,7 +91,7 @@ assert np.isclose(slope, 2 * (f - 1))
 # iterations, on a scene of bouncing balls, and record after each stage which arrays have moved.
 
 # %%
-from p4dgs_ref.equations.render_loss import psnr
+from p4dgs_ref.training.objective import psnr
 from p4dgs_ref.training.parameters import Parameters
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import LEARNING_RATES, Trainer

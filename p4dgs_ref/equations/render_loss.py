@@ -4,8 +4,7 @@
     L1       = mean |image - truth|
     D_SSIM   = 1 - SSIM(image, truth)
 
-P-4DGS, section 3.3 (training objective). D_SSIM is not halved (Q13). `psnr` is no loss: it is the
-measure of the same two images by which the paper's tables compare methods.
+P-4DGS, section 3.3 (training objective). D_SSIM is not halved (Q13).
 """
 
 import numpy as np
@@ -35,9 +34,3 @@ def backward(saved, L_render_bar, L1_bar=0.0, D_SSIM_bar=0.0):
     D_SSIM_bar = float(D_SSIM_bar + lambda_ssim * L_render_bar)
     from_ssim = ssim.backward(saved_ssim, -D_SSIM_bar)["image"]
     return {"image": L1_bar / slope.size * slope + from_ssim}
-
-
-def psnr(image, truth):
-    """Return -10 log10 of the mean squared error of an image clipped to [0, 1]; inf if equal."""
-    error = np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2)
-    return float(-10 * np.log10(error)) if error else np.inf

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import effects as fx
-from ..equations.render_loss import psnr
 from ..output import write_atomically
 from ..scenes.load import DESCRIPTION, read_scene_json
 from ..scenes.scene import MODEL_EFFECTS
 from ..splatting.camera import Camera
+from ..training.objective import psnr
 from ..training.presets import TINY
 from ..training.trainer import Trainer
 from .clock import alternate, step_at

@@ -6,10 +6,10 @@ import warnings
 import numpy as np
 
 from ..equations import ssim
-from ..equations.render_loss import psnr
 from ..model import Model
 from ..scenes.scene import Scene, size_of
 from ..splatting.settings import FAST, Settings
+from ..training.objective import psnr
 from .inspect import components
 
 # D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.

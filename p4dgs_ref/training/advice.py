@@ -7,11 +7,11 @@ import numpy as np
 
 from .. import effects as fx
 from ..arithmetic import other_kernels
-from ..equations.render_loss import psnr
 from ..messages import number_of
 from ..splatting import render
 from ..splatting.settings import FAST
 from .initial import lattice_nodes, starting_points
+from .objective import psnr
 
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 FAR = 10  # times the radius that holds nine tenths of the points

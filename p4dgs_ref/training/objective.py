@@ -6,7 +6,8 @@
 
 All equations of the paper meet here. `loss` calls them in the order of the paper's figures. It
 returns the losses and `back`, which calls their backwards in the opposite order and adds gradients
-where a quantity was used twice.
+where a quantity was used twice. `psnr` is no part of the objective: by it the paper's tables, and
+the line of progress, say how good the same image is.
 """
 
 from typing import NamedTuple
@@ -65,6 +66,12 @@ class Rendered(NamedTuple):
     index: np.ndarray  # [N]  a k + j of the rendered Gaussians
     visible: np.ndarray  # [N]  bool
     image: np.ndarray  # [H, W, 3]
+
+
+def psnr(image, truth):
+    """Return the PSNR in dB of an image clipped to [0, 1]; infinite if it equals the truth."""
+    error = np.mean((np.clip(image, 0, 1).astype(float) - truth) ** 2)
+    return float(-10 * np.log10(error)) if error else np.inf
 
 
 def linear_values(p):

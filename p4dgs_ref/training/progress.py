@@ -4,8 +4,8 @@ import shutil
 import time
 from contextlib import suppress
 
-from ..equations.render_loss import psnr
 from ..messages import number_of
+from .objective import psnr
 
 COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "anchors", "gaussians")
 

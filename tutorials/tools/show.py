@@ -16,12 +16,12 @@ from scipy.special import ndtr
 from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
-from p4dgs_ref.equations.render_loss import psnr
 from p4dgs_ref.model import context
 from p4dgs_ref.report.figures import COLORS, heat_image
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
+from p4dgs_ref.training.objective import psnr
 from p4dgs_ref.training.presets import PAPER_SYNTHETIC
 from tutorials.tools import figures
 
