@@ -51,7 +51,7 @@ def keep_pages():
 
 
 def has_avx2():
-    """Whether Linux says that the processor has AVX2 and FMA.
+    """Return whether Linux says that the processor has AVX2 and FMA.
 
     Under emulation /proc/cpuinfo is that of the host, so the name of the machine is asked first.
     """
@@ -62,7 +62,7 @@ def has_avx2():
 
 
 def lines_of(path):
-    """The lines of a file of Linux; none on another system."""
+    """Return the lines of a file of Linux; none on another system."""
     try:
         with open(path, encoding="utf-8", errors="surrogateescape") as file:
             return [*file] if sys.platform == "linux" else []
@@ -84,7 +84,7 @@ def choose_kernels():
 
 
 def kernels():
-    """The kernels in force, as NumPy and each OpenBLAS of this process report them."""
+    """Return the kernels in force, as NumPy and each OpenBLAS of this process report them."""
     import numpy as np
 
     core = (getattr(np, "_core", None) or np.core)._multiarray_umath
@@ -99,7 +99,7 @@ def kernels():
 
 
 def other_kernels():
-    """A warning of kernels that are not the promised ones, though these could be in force."""
+    """Return a warning of kernels other than the promised ones, though these could be in force."""
     found = kernels()
     if found == PROMISED or not (has_avx2() and openblas()):
         return ""
@@ -110,7 +110,7 @@ def other_kernels():
 
 
 def openblas():
-    """The name of its kernels and the number of threads of each OpenBLAS that is loaded."""
+    """Return the name of the kernels and the number of threads of each OpenBLAS that is loaded."""
     paths = {line.split(maxsplit=5)[-1].strip() for line in lines_of("/proc/self/maps")}
     libraries = sorted(path for path in paths if "openblas" in os.path.basename(path))
     answers = []
@@ -125,7 +125,7 @@ def openblas():
 
 
 def arithmetic():
-    """What the last digits depend on: this package, NumPy, SciPy, and the kernels in force."""
+    """Return what last digits depend on: this package, NumPy, SciPy, and the kernels in force."""
     import numpy as np
     import scipy
 

@@ -71,7 +71,7 @@ def lock(handle):
 
 
 def destination(path):
-    """The regular file that `path` stands for; it need not exist, and links are followed."""
+    """Return the regular file that `path` stands for; it need not exist; links are followed."""
     target = Path(os.path.realpath(path))
     if os.path.lexists(target) and not target.is_file():
         raise OutputError(
@@ -107,7 +107,7 @@ def new_part(folder):
 
 
 def files_in(folder):
-    """All files below a folder in the order in which they were written; at one time, by size."""
+    """Return all files below a folder in the order in which they were written, then by size."""
     files = filter(Path.is_file, folder.rglob("*"))
     return sorted(files, key=lambda file: (file.stat().st_mtime_ns, file.stat().st_size))
 

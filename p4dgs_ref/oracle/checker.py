@@ -194,7 +194,7 @@ def judge_answer(case, got, roles=ROLES, strict=False):
 
 
 def is_defensible(case, got, finding):
-    """Whether a wrong tensor is another answer that the case allows."""
+    """Return whether a wrong tensor is another answer that the case allows."""
     name, others = finding.tensor, case.record.get("others", {})
     if finding.kind != "value" or name not in others:
         return False

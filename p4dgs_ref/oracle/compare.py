@@ -90,7 +90,7 @@ def change_floats(values, change):
 
 
 def cast(values, dtype):
-    """The same values with every float array in another precision."""
+    """Return the same values with every float array in another precision."""
     return change_floats(values, lambda a: np.asarray(a, dtype))
 
 
@@ -101,7 +101,7 @@ def expected(tensors):
 
 @np.errstate(all="ignore")
 def symmetric_parts(tensors):
-    """The same tensors, with the symmetric part (a + a^T) / 2 of those that SYMMETRIC names."""
+    """Return the tensors with the symmetric part (a + a^T) / 2 of those that SYMMETRIC names."""
 
     def part(a):  # which a port has sent, so that it may be anything
         is_square = a.ndim > 1 and a.shape[-1] == a.shape[-2]

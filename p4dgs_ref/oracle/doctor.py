@@ -196,7 +196,7 @@ def _times(factor, quantity, answers):
 
 
 def _agrees(mistake, case, got, wrong):
-    """Whether a port with this mistake would have answered a case like this."""
+    """Return whether a port with this mistake would have answered a case like this."""
     stored = mistake.answers.get(case.name, {})
     bound = case.tolerance(precision(got))["eps_S"]
 
@@ -213,7 +213,7 @@ def _agrees(mistake, case, got, wrong):
 
 @np.errstate(over="ignore")
 def _shows(mine, would, right, scale, bound):
-    """Whether a port with this mistake would have failed in a tensor, in the type of `mine`."""
+    """Return whether a port with this mistake would have failed in a tensor, in `mine`'s type."""
     if would.shape != right.shape or right.dtype.kind != "f":
         return not np.array_equal(would, right)
     return bool((deviations(would.astype(mine.dtype), right, scale, mine.dtype)[1] > bound).any())
@@ -221,7 +221,7 @@ def _shows(mine, would, right, scale, bound):
 
 @np.errstate(over="ignore")
 def _is_mistake(mine, would, right, scale, bound):
-    """Whether a wrong tensor is the mistake's, and not the right one with fewer digits."""
+    """Return whether a wrong tensor is the mistake's, and not the right one with fewer digits."""
     if mine.shape != would.shape or right.dtype.kind != "f":
         return np.array_equal(mine, would) and not np.array_equal(would, right)
     if mine.dtype.name not in PRECISIONS or not _shows(mine, would, right, scale, bound):

@@ -170,7 +170,7 @@ class Scene:
 
 
 def check_effects(names, where, known=SIMULATOR_EFFECTS):
-    """Those of a list of effects that are `known`, in that order; None stands for the model's."""
+    """Return the `known` effects of a list, in that order; None stands for the model's."""
     listed = list_of(
         MODEL_EFFECTS if names is None else names,
         where,
@@ -183,18 +183,18 @@ model_effects = partial(check_effects, known=MODEL_EFFECTS)
 
 
 def background_color(background, effects, where):
-    """The background as float32; black where the scene does not list the effect."""
+    """Return the background as float32; black if the scene does not list the effect."""
     color = COLOR(background, f"{where}: background")
     return color.astype(np.float32) if "background" in effects else np.zeros(3, np.float32)
 
 
 def size_of(image):
-    """The width and height of an image in words."""
+    """Return the width and height of an image in words."""
     return f"{image.shape[1]}x{image.shape[0]}"
 
 
 def as_float(image, where):
-    """The pixels as float32, unsigned integers divided by their largest value."""
+    """Return the pixels as float32, unsigned integers divided by their largest value."""
     image = np.asarray(image)
     require(
         image.ndim == 3 and image.shape[2] in (3, 4) and image.size and image.dtype.kind in "uf",
@@ -207,7 +207,7 @@ def as_float(image, where):
 
 
 def over_background(image, color):
-    """The RGB picture that an RGBA picture shows over a colour, and its alpha (None for RGB)."""
+    """Return the RGB picture of an RGBA picture over a colour, and its alpha (None for RGB)."""
     if image.shape[2] == 3:
         return image, None
     alpha = np.ascontiguousarray(image[..., 3])

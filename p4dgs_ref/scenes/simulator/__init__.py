@@ -50,7 +50,7 @@ def simulate(
 
 
 def place_cameras(description, split):
-    """The (camera, time) of every view of a split, in the order of time.
+    """Return the (camera, time) of every view of a split, in the order of time.
 
     Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
     the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
@@ -71,7 +71,7 @@ def place_cameras(description, split):
 
 
 def camera_at(description, azimuth, elevation):
-    """A camera on the sphere about the target that looks at the target, with z up."""
+    """Return a camera on the sphere about the target that looks at it, with z up."""
     paths, lens = description.cameras, description.lens
     outward = np.array(
         [
@@ -92,7 +92,7 @@ def camera_at(description, azimuth, elevation):
 
 
 def transforms(split, posed):
-    """The text of a transforms file.
+    """Return the text of a transforms file.
 
     Its matrices are camera-to-world in OpenGL axes; its principal point counts from the corner.
     """

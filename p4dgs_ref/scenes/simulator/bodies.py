@@ -13,12 +13,12 @@ import numpy as np
 
 
 def dot(a, b):
-    """The scalar products of the rows of a and b."""
+    """Return the scalar products of the rows of a and b."""
     return np.einsum("ni,ni->n", a, b)
 
 
 def first_root(a, half_b, c):
-    """The smaller root of a t^2 + 2 half_b t + c; infinity if there is none or it is not positive.
+    """Return the smaller root of a t^2 + 2 half_b t + c, or infinity unless it is positive.
 
     a is 0 for a ray along the axis of a cylinder, which misses its side.
     """
@@ -29,23 +29,23 @@ def first_root(a, half_b, c):
 
 
 def ball_hit(o, d, center, radius):
-    """Where rays enter a ball."""
+    """Return where rays enter a ball."""
     m = o - center
     return first_root(dot(d, d), d @ m, m @ m - radius**2)
 
 
 def sphere_hit(shape, o, d):
-    """Where rays enter a sphere."""
+    """Return where rays enter a sphere."""
     return ball_hit(o, d, 0, shape.radius)
 
 
 def sphere_normal(shape, p):
-    """Away from the centre."""
+    """Return the direction away from the centre."""
     return p / shape.radius
 
 
 def box_hit(shape, o, d):
-    """A ray is inside the box where it is between the two faces of all three pairs.
+    """Return where rays enter a box: inside, they are between the faces of all three pairs.
 
     A ray that is parallel to a face meets it at an infinity of the right sign.
     """
@@ -57,14 +57,14 @@ def box_hit(shape, o, d):
 
 
 def box_normal(shape, p):
-    """The point is on the face whose coordinate is largest in units of the box."""
+    """Return the normal of the face whose coordinate is largest in units of the box."""
     q = p / shape.half
     face = np.abs(q).argmax(axis=1)[:, None]
     return np.where(np.arange(3) == face, np.sign(q), 0.0)
 
 
 def capsule_hit(shape, o, d):
-    """A capsule is the side of a cylinder and two balls; the first of the three counts."""
+    """Return where rays enter a capsule: the first of a cylinder's side and two balls."""
     segment = shape.end - shape.start
     length = np.linalg.norm(segment) + 1e-150  # without a length it is a ball
     axis = segment / length
@@ -81,19 +81,19 @@ def capsule_hit(shape, o, d):
 
 
 def capsule_normal(shape, p):
-    """Away from the nearest point of the segment."""
+    """Return the direction away from the nearest point of the segment."""
     segment = shape.end - shape.start
     along = np.clip((p - shape.start) @ segment / (segment @ segment + 1e-300), 0, 1)
     return (p - shape.start - along[:, None] * segment) / shape.radius
 
 
 def checker(texture, p):
-    """0 or 1, alternating from cell to cell; the origin of the body is a corner of cells."""
+    """Return 0 or 1, alternating from cell to cell; the origin of the body is a corner of cells."""
     return np.floor(p[:, : len(texture.axes)] / texture.cell).sum(axis=1) % 2
 
 
 def stripes(texture, p):
-    """A sine from 0 to 1 along the given direction."""
+    """Return a sine from 0 to 1 along the given direction."""
     direction = texture.direction / np.linalg.norm(texture.direction)
     return 0.5 + 0.5 * np.sin(2 * np.pi * (p @ direction) / texture.period)
 
@@ -112,7 +112,7 @@ class Pose(NamedTuple):
 
 
 def wave(motion, t):
-    """The phase angle, which makes one turn in every period."""
+    """Return the phase angle, which makes one turn in every period."""
     return 2 * np.pi * (t / motion.period + motion.phase)
 
 
@@ -161,14 +161,14 @@ MOTIONS = {
 
 
 def turn(axis, degrees):
-    """The rotation by an angle about an axis (Rodrigues' formula)."""
+    """Return the rotation by an angle about an axis (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
     K, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), np.deg2rad(degrees)
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
 def facing(T, viewer):
-    """The rotation whose third column points from T to the viewer; its first one is horizontal."""
+    """Return the rotation whose third column points from T to the viewer; the first is level."""
     back = (viewer - T) / np.linalg.norm(viewer - T)
     level = np.array([-back[1], back[0], 0.0])
     right = level / np.linalg.norm(level) if level.any() else np.array([1.0, 0, 0])
@@ -176,7 +176,7 @@ def facing(T, viewer):
 
 
 def poses(bodies, effects, t, viewer):
-    """The pose of every body at time t, {name: Pose}; parents stand before their children.
+    """Return the pose of every body at time t, {name: Pose}; parents stand before their children.
 
     Offsets are in the frame of the parent. A child inherits R and T of its parent, not the scale. A
     motion whose effect is not listed is not computed. `faces_camera`, the simulator's form of

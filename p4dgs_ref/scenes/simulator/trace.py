@@ -44,7 +44,7 @@ def trace(description, camera, t):
 
 
 def rays(camera):
-    """The unit directions [H * W * 9, 3] of all rays in the world, pixel by pixel (Q20)."""
+    """Return the unit directions [H * W * 9, 3] of all rays, pixel by pixel (Q20)."""
     inside = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     v, u, dv, du = np.meshgrid(
         np.arange(camera.height), np.arange(camera.width), inside, inside, indexing="ij"
@@ -55,23 +55,23 @@ def rays(camera):
 
 
 def unit(v):
-    """Vectors [N, 3] of length 1 in the directions of v."""
+    """Return vectors [N, 3] of length 1 in the directions of v."""
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def hit(body, pose, origin, directions):
-    """The distance to a body along every ray, infinity where the ray misses it."""
+    """Return the distance to a body along every ray, infinity if the ray misses it."""
     o, d = (origin - pose.T) @ pose.R / pose.scale, directions @ pose.R / pose.scale
     return HITS[body.shape.kind](body.shape, o, d)
 
 
 def nearest(hits):
-    """Which body is the nearest along every ray [bodies, rays], from its distances to all."""
+    """Return which body is the nearest along every ray [bodies, rays], from the distances."""
     return hits.argmin(axis=0) == np.arange(len(hits))[:, None]
 
 
 def shade(body, pose, x, viewer, light, effects):
-    """The colours [M, 3] of a body at points x [M, 3] of its surface."""
+    """Return the colours [M, 3] of a body at points x [M, 3] of its surface."""
     local = (x - pose.T) @ pose.R / pose.scale
     color = np.broadcast_to(body.color, x.shape)
     if body.texture is not None and "texture" in effects:
@@ -95,19 +95,19 @@ def shade(body, pose, x, viewer, light, effects):
 
 
 def diffuse(color, facing, ambient):
-    """Ambient light and Lambert's cosine; a surface that faces the light keeps its colour."""
+    """Return ambient light and Lambert's cosine: a surface facing the light keeps its colour."""
     return color * (ambient + (1 - ambient) * facing)
 
 
 def specular(material, normal, to_light, facing, to_viewer):
-    """Phong's model: a white lobe about the mirrored light, only where light falls."""
+    """Return Phong's white lobe about the mirrored light, only where light falls."""
     mirrored = 2 * facing * normal - to_light
     lobe = np.maximum(dot(mirrored, to_viewer), 0)[:, None] ** material.exponent
     return material.strength * np.where(facing > 0, lobe, 0)
 
 
 def develop(color, covered, camera):
-    """The picture: mean colours over the rays that `covered` says hit something, and their share.
+    """Return the picture: mean colours over the rays that hit something, and their share.
 
     Without `covered` all rays count and alpha is 1.
     """
