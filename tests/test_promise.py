@@ -141,7 +141,7 @@ def test_names_and_parameters(name):
 def option_of(action):
     """What is promised of an option or argument.
 
-    A default that only the help names is tested in tests/cli/test_defaults.py.
+    A default that only the help names is tested in tests/cli/test_arguments.py.
     """
     named = re.search(r"\(default (\S+)\)", action.help or "")
     default = named[1] if action.default is None and named else action.default
