@@ -13,9 +13,10 @@ from tutorials.experiments.tables import methods
 from tutorials.experiments.tables.rows import TEXTS, rows, run
 
 
-@pytest.mark.parametrize("name", tables.TABLES)
-def test_a_table_is_made_once_and_shown(name, tmp_path, capsys):
-    words = f"{name} bouncing --seeds 1 --iterations 40 -o {tmp_path}".split()
+@pytest.mark.parametrize("line", [*tables.TABLES, "ablate --anchors 20"])
+def test_a_table_is_made_once_and_shown(line, tmp_path, capsys):
+    name, *more = line.split()
+    words = [name, "bouncing", *more, *f"--seeds 1 --iterations 40 -o {tmp_path}".split()]
     assert run(tables.main, words) == 0
     shown, progress = capsys.readouterr()
     found = read_csv(tmp_path / f"{name}.csv", TEXTS)
@@ -70,7 +71,7 @@ def test_what_is_in_the_records_is_printed_and_drawn(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     "main, words, why",
     [
-        (tables.main, "compare nowhere", "nowhere: no such folder"),
+        (tables.main, "training nowhere", "nowhere: no such folder"),
         (tables.main, "ablate bouncing --seeds -1", "--seeds: expected a whole number"),
         (equal.main, "", "required: study"),
         (decision.main, "-o README.md", "README.md: expected a folder"),

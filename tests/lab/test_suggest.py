@@ -1,7 +1,9 @@
 """What the pictures of a scene say about the effects in it."""
 
+import io
 import json
 import shutil
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -216,6 +218,19 @@ def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, run, ca
     assert run(f"effects {folder} --suggest --apply --yes") == 0
     kept = {**described_as, "effects": [*listed, "texture"]}
     assert json.loads((folder / "scene.json").read_text(encoding="utf-8")) == kept
+
+
+@pytest.mark.parametrize("answer, code", [("y\n", 0), ("n\n", 130), ("", 130)])
+def test_a_terminal_is_asked(answer, code, folder, run, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(suggest, "suggest", lambda *arguments: [])
+    monkeypatch.setattr("sys.stdin", Terminal(answer))
+    monkeypatch.setattr("sys.stderr", Terminal())
+    assert run(f"effects {folder} --suggest") == code
+    assert "go on? [y/N] " in sys.stderr.getvalue()
 
 
 def test_a_list_that_cannot_be_written_is_refused_before_the_work(folder, run, monkeypatch, capsys):

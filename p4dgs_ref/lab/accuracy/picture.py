@@ -64,7 +64,7 @@ def draw_front(path, rows):
     """Draw four panels below each other, for a picture that is shown small."""
     figure, axes = subplots(4, figsize=(4.2, 6.6))
     for ax, (name, group) in zip(axes, by_question(rows).items()):
-        draw_panel(ax, group, 40)
+        draw_panel(ax, group, 37)
         ax.set_xlabel("")
         ax.set_ylabel(QUESTIONS[name].unit)
     save_figure(figure, path)

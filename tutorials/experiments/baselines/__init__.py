@@ -1,7 +1,7 @@
 """The methods that the paper compares itself with, trained by the package's loop and renderer.
 
     from tutorials.experiments import baselines
-    model = baselines.train(scene, "d3dgs", seed=0)
+    model = baselines.d3dgs.Trainer(scene, baselines.d3dgs.Preset(), seed=0).run()
     sizes = model.save("bouncing.ply")
     model = baselines.load("bouncing.ply")
 
@@ -9,8 +9,6 @@ The module of a method has its Preset, its model (a subclass of `explicit.Explic
 Trainer. Its equations are modules of this folder: D1 to D3 belong to D3DGS, H1 to H3 to 4DHexPlane,
 G1 to G4 to 4DGS.
 """
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,23 +25,6 @@ METHODS = {
 }
 
 
-def module_of(method):
-    """The module of a method, and its preset."""
-    return METHODS[method]
-
-
-def choose(method, changes=None):
-    """The preset of a method with some fields changed."""
-    return replace(METHODS[method][1], **(changes or {}))
-
-
-def train(scene, method="d3dgs", seed=0, **changes):
-    """Fit a scene and return the model, ready to be rendered or saved. Raises NotFinite."""
-    module, _ = module_of(method)
-    with np.errstate(all="ignore"):  # the Trainer looks for NaN and infinity itself
-        return module.Trainer(scene, choose(method, changes), seed).run()
-
-
 def load(path):
     """The model in a PLY file of any method. Raises ValueError for another file."""
     with reading(path, "the file of a baseline"):
@@ -52,6 +33,6 @@ def load(path):
 
 def model_of(p, values):
     """The model of some Parameters and of what its file says besides."""
-    module, _ = module_of(values["method"])
+    module, _ = METHODS[values["method"]]
     preset, background = module.Preset(**values["form"]), np.array(values["background"])
     return module.Trainer.kind(p, preset, background, values["occlusion"])

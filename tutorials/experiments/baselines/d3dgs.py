@@ -43,6 +43,21 @@ class Preset(explicit.Preset):
 SMALL = Preset(deformation=(64, 64), time_net=(), skip=False, lr_d=(0.002, 1e-4))
 
 
+def random_networks(preset, heads, rng):
+    """The first arrays of psi_d with heads of these widths and of psi_t, as PyTorch starts them."""
+    layers = deformation_layers(
+        preset.L_x, preset.L_t, preset.deformation, heads, preset.time_net, preset.skip
+    )
+    arrays = {}
+    for name, shapes in layers.items():
+        arrays |= random_layers(rng, name, shapes)
+    trunk = len(preset.deformation)
+    for i in range(trunk, trunk + len(heads)):
+        arrays[f"psi_d.W{i}"] *= preset.deformation_gain
+        arrays[f"psi_d.b{i}"] *= preset.deformation_gain
+    return arrays
+
+
 class D3DGS(explicit.Explicit):
     """A model of D3DGS, ready to render or to be saved."""
 
@@ -51,17 +66,8 @@ class D3DGS(explicit.Explicit):
     @staticmethod
     def initial(preset, rng, points=None):
         """The first arrays: the Gaussians of 3DGS, and networks as PyTorch starts them."""
-        arrays = explicit.start(preset, rng, points)
-        layers = deformation_layers(
-            preset.L_x, preset.L_t, preset.deformation, HEADS, preset.time_net, preset.skip
-        )
-        for name, shapes in layers.items():
-            arrays.update(random_layers(rng, name, shapes))
-        trunk = len(preset.deformation)
-        for i in range(trunk, trunk + len(HEADS)):
-            arrays[f"psi_d.W{i}"] *= preset.deformation_gain
-            arrays[f"psi_d.b{i}"] *= preset.deformation_gain
-        return arrays
+        gaussians = explicit.start(preset, rng, points)
+        return {**gaussians, **random_networks(preset, HEADS, rng)}
 
     def predict(self, t, x_c, iteration=explicit.AFTER_TRAINING):
         """See `Explicit`; before `warm_up` nothing moves."""

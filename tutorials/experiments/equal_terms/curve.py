@@ -9,14 +9,14 @@ files of this method and storage. So sizes and steps are chosen without the test
 is drawn. The paper's design is coded alike with narrow networks alone, which 23 of the 31 points of
 its curves as stored have. One choice needs the test views: the bytes at a PSNR are one number only
 where a curve rises, so a point without a higher PSNR of test views than all smaller files is left
-out then, on all sides. Where the record lacks seeds, a curve has those that all of its points have.
+out then, on all sides.
 """
 
 from functools import cache, partial
 
 import numpy as np
 
-from p4dgs_ref.lab.writer import fill_form, group_rows, read_csv
+from p4dgs_ref.lab.writer import fill_form, read_csv
 from p4dgs_ref.scenes import load_scene
 
 from .. import RECORDS, baselines
@@ -165,24 +165,12 @@ def recorded(name):
 def read(name="curve"):
     """The rows of a record that curves show, with their storage."""
     rows = [row for row in recorded(name).values() if row["iterations"] == ITERATIONS]
-    return of_common_seeds([{**row, "storage": storage_of(row["label"])} for row in rows])
+    return [{**row, "storage": storage_of(row["label"])} for row in rows]
 
 
 def storage_of(label):
     """The storage of the file of a row, which its label says."""
     return ALIKE if " loss=" in label else HALF if label.endswith(HALF) else STORED
-
-
-def of_common_seeds(rows):
-    """The rows of the seeds that all points of a curve have on a scene.
-
-    Beside means over seeds, the best of several single seeds would win by luck.
-    """
-    kept = []
-    for curve in group_rows(rows, "method", "storage", "scene").values():
-        seeds = [{row["seed"] for row in point} for point in group_rows(curve, "label").values()]
-        kept += [row for row in curve if row["seed"] in set.intersection(*seeds)]
-    return kept
 
 
 def chosen(rows, **wanted):
@@ -199,8 +187,7 @@ def compare(rows, storage, scenes=(MEAN, *SCENES)):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
     Both have networks of one size. Every seed has its curves and its median factor; `median` is
-    the median of these. A difference whose seeds lie on both sides of 1 is none; that of fewer
-    than three seeds is open.
+    the median of these. A difference whose seeds lie on both sides of 1 is none.
     """
     found = []
     for scene in scenes:
@@ -214,7 +201,6 @@ def compare(rows, storage, scenes=(MEAN, *SCENES)):
             medians = [one["median"] for one in each]
             first, last = min(medians), max(medians)
             verdict = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
-            verdict = verdict if len(seeds) > 2 else "open: too few seeds"
             names = dict(scene=scene, storage=storage, seeds=len(seeds))
             levels = dict(
                 low=min(one["low"] for one in each), high=max(one["high"] for one in each)

@@ -1,1 +1,1 @@
-"""Tables and curves of methods: compare, curve, ablate, composition."""
+"""Tables of trainings: the paper's Table 3, lengths of training, effects."""

@@ -1,4 +1,4 @@
-"""`python -m tutorials.experiments.tables compare bouncing`, or ablate, training, effects."""
+"""`python -m tutorials.experiments.tables ablate bouncing`, or training, or effects."""
 
 import sys
 
@@ -8,10 +8,10 @@ p4dgs_ref.prepare()  # before NumPy
 
 from p4dgs_ref.scenes import load_scene  # noqa: E402
 
-from . import ablate, compare, effects, training  # noqa: E402
+from . import ablate, effects, training  # noqa: E402
 from .rows import Parser, count, rows, run  # noqa: E402
 
-TABLES = {"compare": compare, "ablate": ablate, "training": training, "effects": effects}
+TABLES = {"ablate": ablate, "training": training, "effects": effects}
 QUICK = {"seeds": 1, "iterations": 100}
 
 
@@ -33,7 +33,7 @@ def main(words):
     more = [options.anchors] if options.anchors and table is ablate else []
     tasks = table.plan(scene, seeds, iterations, *more)
     found = rows(tasks, options.table, options.folder, options.jobs)
-    table.show(scene, tasks, found, options.folder)
+    table.show(scene, tasks, found)
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def make_without_psi_q(task, path, source=None):
     return save(trainer, path)
 
 
-def show(scene, tasks, found, folder):
+def show(scene, tasks, found):
     """Print Table 3 in form with the paper's numbers beside it, then the parts left out."""
     print(
         f"{scene.name}; {tasks[0].iterations:,} iterations; {seeds_of(found)}. Changes are against"

@@ -58,7 +58,7 @@ def psnr_of_nothing(scene):
     return float(np.mean(-10 * np.log10(errors)))
 
 
-def show(scene, tasks, found, folder):
+def show(scene, tasks, found):
     """Print what the scene's list gains over lists with one effect more or less."""
     print(f"{scene.name}; dB against the list of the scene, ± twice the standard error over seeds")
     print(*text_table(COLUMNS, summaries(found, psnr_of_nothing(scene))), sep="\n")

@@ -10,15 +10,12 @@ There is no noise and no rate. Without the skip, psi_d of eight layers hardly tr
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from p4dgs_ref import effects as fx
 from p4dgs_ref.equations import deformed, render_loss
 from p4dgs_ref.model import Anchors, Gaussians, Model, predict, split, with_backward
 from p4dgs_ref.splatting import render
 from p4dgs_ref.training import objective, trainer
-from p4dgs_ref.training.parameters import Adam, Parameters, random_layers
-from p4dgs_ref.training.watch import NotFinite, first_bad
+from p4dgs_ref.training.parameters import Adam, Parameters
 
 from ..baselines import d3dgs, deformation_d3dgs
 
@@ -52,22 +49,10 @@ class Trainer(trainer.Trainer):
 
     def __init__(self, scene, preset, seed=0):
         super().__init__(scene, preset, seed)
-        authors, gain = d3dgs.Preset(), preset.deformation_gain
-        layers = deformation_d3dgs.deformation_layers(
-            preset.L_x,
-            preset.L_t,
-            preset.deformation,
-            fx.heads(scene.effects),
-            authors.time_net,
-            authors.skip,
-        )
-        arrays = {n: a for n, a in self.parameters.arrays.items() if not n.startswith("psi_d")}
-        for name, shapes in layers.items():
-            arrays |= random_layers(self.rng, name, shapes)
-        for i in range(len(preset.deformation), len(layers["psi_d"])):
-            arrays[f"psi_d.W{i}"] *= gain
-            arrays[f"psi_d.b{i}"] *= gain
-        self.adopt(Parameters(arrays))
+        as_here = {name: getattr(preset, name) for name in ("L_x", "L_t", "deformation_gain")}
+        authors = d3dgs.Preset(**as_here)
+        networks = d3dgs.random_networks(authors, fx.heads(scene.effects), self.rng)
+        self.adopt(Parameters({**self.parameters.arrays, **networks}))
         self.adam = Adam(self.parameters)
 
     def adopt(self, parameters):
@@ -108,9 +93,6 @@ class Trainer(trainer.Trainer):
         gradients["O_a"][...] = attributes["O_a"]
         for name, network_bar in {**moving, **predicting}.items():
             gradients.fill(name, network_bar)
-        if not np.isfinite(gradients.vector).all():
-            bad = first_bad(gradients.arrays)
-            raise NotFinite(f"iteration {self.iteration}: gradient of {bad}")
         L_render, L1, D_SSIM = map(float, losses)
         return (
             objective.Losses(L_render, L_render, L1, D_SSIM, 0.0, 0.0),

@@ -52,7 +52,7 @@ def summaries(found):
         }
 
 
-def show(scene, tasks, found, folder):
+def show(scene, tasks, found):
     """Print what a shorter training saves and loses."""
     print(f"{scene.name}; medians of processor seconds, means of the rest over the seeds")
     print(*text_table(COLUMNS, summaries(found)), sep="\n")

@@ -30,14 +30,8 @@ def means(rows, *keys):
 
 
 def points_of(rows):
-    """The means of the points over scenes and seeds, of trainings that are there on every scene."""
-    scenes, there = {row["scene"] for row in rows}, {}
-    keys = ("label", "iterations", "method", "storage")
-    for row in rows:
-        key = (row["seed"], *(row[name] for name in keys))
-        there.setdefault(key, []).append(row)
-    whole = [row for group in there.values() if len(group) == len(scenes) for row in group]
-    return means(whole, *keys)
+    """The means of the points over scenes and seeds."""
+    return means(rows, "label", "iterations", "method", "storage")
 
 
 def seeds_of(rows):
