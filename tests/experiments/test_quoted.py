@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab.writer import filled, read_csv
+from p4dgs_ref.lab.writer import fill_form, read_csv
 from tutorials.experiments import RECORDS, equal_terms
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve, numbers, steps
@@ -74,7 +74,7 @@ def test_tables_of_lengths_and_effects_are_those_of_the_records():
         record = read_csv(RECORDS / f"{table.__name__.rpartition('.')[2]}.csv", TEXTS)
         rows = training.summaries(record) if table is training else effects.summaries(record, empty)
         for row in rows:
-            cells = [filled(form, row) for form in table.COLUMNS.values()]
+            cells = [fill_form(form, row) for form in table.COLUMNS.values()]
             found.append(f"| {' | '.join(cells)} |")
     assert [line for line in found if line not in page] == []
 
