@@ -235,7 +235,7 @@ REQUIREMENTS = {name: number_from(1, most) for name, most in MAX_OF.items()} | b
         "tau_alpha lambda_ssim": number_from(0, 1),
         "Q_f Q_s Q_l Q_O": number_from(1e-5, 1e5),
         "lr_x lr_f lr_s lr_l lr_O lr_alpha lr_c lr_r lr_psi_s lr_d lr_grid lr_p lr_q": (
-            "first,last, two positive rates up to 1 or 0,0",
+            "first,last, two positive learning rates up to 1 or 0,0",
             lambda ends: (
                 len(ends) == 2 and all(0 <= n <= 1 for n in ends) and all(ends) == any(ends)
             ),
