@@ -1,6 +1,7 @@
 """What the tutorials share: claims, checks of gradients, and exercises that check themselves."""
 
 import json
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -203,18 +204,23 @@ def check_number(exercise, mine, want=None, digits=6):
     if right.all():
         return settle(exercise, "")
     first = tuple(np.argwhere(~right)[0].tolist())
-    example = f"; the first, {list(first)}: {difference(mine[first], want[first])}"
+    # Of several numbers one alone tells no unit.
+    one = difference(mine[first], want[first], excluded=TELLING_FACTORS)
+    example = f"; the first, {list(first)}: {one}"
+    mistakes = read_stored("mistakes").get(exercise, ())
+    texts = [*read_stored("hints").get(exercise, ()), *(reason for _, reason in mistakes)]
+    numbers = map(float, re.findall(r"\d+\.?\d*", " ".join(texts)))
     rules = (
         *(
             (np.isclose(mine, wrong, near / 10, 0).all(), reason)
-            for wrong, reason in read_stored("mistakes").get(exercise, ())
+            for wrong, reason in mistakes
             if mine.shape == np.shape(wrong)
         ),
         (
             np.isclose(mine, want, near, 0).all(),
             f"nearly right, but {digits} right digits are expected",
         ),
-        (True, difference(mine, want, example)),
+        (True, difference(mine, want, example, numbers)),
     )
     return settle(exercise, next(message for holds, message in rules if holds))
 
@@ -322,7 +328,7 @@ def problem(cases, port, roles):
     message = f": {finding.message}"
     if finding.kind == "value":
         place = finding.message.partition(" (")[0]
-        message = f": {difference(mine, right)}\n  Case {case.id}: {place}"
+        message = f": {difference(mine, right, '', numbers_of(case))}\n  Case {case.id}: {place}"
     if finding.kind in ("missing", "shape"):
         got = "missing" if mine is None else f"of the shape {list(mine.shape)}"
         message = f" is {got}; expected {axes_of(case, finding.tensor)} of {right.dtype}"
@@ -340,13 +346,24 @@ def axes_of(case, tensor):
 
 
 @np.errstate(all="ignore")
-def difference(mine, right, example=""):
+def difference(mine, right, example="", excluded=()):
     """Return how an array differs from the right one of the same shape.
 
     For a single number only one of TELLING_FACTORS is named; others would give the answer away.
-    `example` is added where the errors of several numbers have nothing in common.
+    A unit is guessed if all numbers have its factor, unless the factor, or one by the factor, is
+    among the `excluded` numbers, which the exercise is about. `example` is added if the errors of
+    several numbers have nothing in common.
     """
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
+def numbers_of(case):
+    """Return the numbers that a case shows: lengths of axes, settings and single inputs."""
+    inputs = [a for name, a in case.tensors.items() if name.startswith("in.")]
+    lengths = [length for a in inputs for length in a.shape]
+    single = [a.item() for a in inputs if a.size == 1]
+    settings = [v for v in case.record["settings"].values() if isinstance(v, (int, float))]
+    return [*lengths, *single, *settings]
+
+
     wrong = ~np.isclose(mine, right, rounding, 0)
     not_finite = np.argwhere(np.isfinite(right) & ~np.isfinite(mine))[:1].tolist()
     exact = right.astype(float)  # sums of squares of small integers would overflow
@@ -356,7 +373,9 @@ def difference(mine, right, example=""):
         for known, unit in TELLING_FACTORS.items()
         if np.isclose(abs(factor), known, near, 0)
     ]
-    unit = "".join(f" ({unit}?)" for _, unit in telling if unit)
+    numbers = np.array([*excluded], float)[:, None]
+    is_unit = factor > 0 and not np.isclose([factor, 1 / factor], numbers, near, 0).any()
+    unit = "".join(f" ({unit}?)" for _, unit in telling if unit and is_unit)
     some = f"{wrong.sum()} of {right.size} numbers"
     rules = (
         *((True, f"{place or 'it'} is {mine[tuple(place)]}") for place in not_finite),

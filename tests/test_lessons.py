@@ -114,6 +114,45 @@ def test_numbers_that_agree_with_the_largest_alone_are_counted():
     assert lessons.difference(right < 1, right > 0) == "2 of 4 numbers are wrong"  # flags, too
 
 
+def test_an_exercise_has_no_case_without_rows(capsys):
+    """A right answer may reshape by the number of rows, which fails where there are none."""
+
+    def color(f_a, delta_vc, d_vc, weights, biases):
+        y, _ = mlp.forward(np.concatenate([f_a, delta_vc, d_vc], axis=1), weights, biases)
+        return 1 / (1 + np.exp(-y.reshape(len(y), -1, 3)))
+
+    with np.errstate(over="ignore"):
+        lessons.check_forward("04.2", color, "color")
+    assert "exercise 04.2: solved" in capsys.readouterr().out
+
+
+def test_a_unit_is_guessed_only_of_a_factor_that_all_numbers_share():
+    right = np.array([2.0, 3.0, 5.0])
+    assert lessons.difference(8 * right, right).endswith("(bits instead of bytes?)")
+    assert not lessons.difference(-8 * right, right).endswith("?)")
+    for excluded in 8, 1 / 8:  # a number of the exercise
+        assert not lessons.difference(8 * right, right, excluded=[excluded]).endswith("?)")
+
+
+def test_no_unit_is_guessed_of_one_number_of_several(capsys):
+    """A = 100 anchors in 11.1, and lambda = 0.001 in 12.1."""
+    lessons.check_number("11.1", [3, 2.64, 0.04, 0.04])
+    lessons.check_number("12.1", [0.0724, 0.025278839, 0.025278839 * 1.001])
+    assert "?" not in capsys.readouterr().out
+
+
+def test_a_number_of_a_case_is_no_unit(capsys, monkeypatch):
+    """The cotangent of L_rate lacks lambda_rate, which is taken for no unit."""
+    case = oracle.published.cases("total_loss/ordinary")[0]
+    weight = case.inputs()["lambda_rate"]
+    monkeypatch.setitem(lessons.TELLING_FACTORS, 1 / float(weight), "a unit of mine")
+    lessons.check_backward(
+        "12.2", lambda i, bars: {"L_rate": bars["L_total_bar"]}, "total_loss", "L_rate"
+    )
+    said = capsys.readouterr().out
+    assert "times the right number\n" in said and "a unit of mine" not in said
+
+
 def test_hints_come_one_after_the_other(capsys, monkeypatch):
     monkeypatch.setattr(lessons, "HINTS_GIVEN", {})
     first, second = lessons.read_stored("hints")["07.3"]
