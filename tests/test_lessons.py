@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref import EQUATIONS, lessons, oracle
-from p4dgs_ref.equations import offsets
+from p4dgs_ref.equations import mlp, offsets
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from ...lessons import problem
+from ...lessons import exercise_cases, problem
 from ...oracle import published, tolerance
 from ...oracle.compare import change_floats, compare, expected
 from ...oracle.ports import PortError
@@ -116,10 +116,10 @@ def wrong_in(case, student, part):
 def reason(key, student):
     """Return what is wrong with the forward or the backward on the published cases."""
     for part in parts_of(key):
-        message, _ = problem(published.cases(key), student.part(part), (ROLES[part],))
-        if message:
-            return f"{part}: {message}"
-    return "right on the published cases, wrong on inputs that are held back"
+        message, _ = problem(exercise_cases(key), student.part(part), (ROLES[part],))
+        parts.setdefault(message, part)
+    lines = [f"{part}: {message}" for message, part in parts.items() if message]
+    return "\n".join(lines) or "right on the published cases, wrong on inputs that are held back"
 
 
 # --- inputs that are held back -------------------------------------------------------------------
@@ -135,8 +135,8 @@ def cases(key, seed):
     They have the form of published cases, and are drawn once for all students of a seed.
     """
     return [
-        drawn(case, f"{case.id}#{i + 1}", seed)
-        for case in published.cases(key)
+        random_case(case, f"{case.id}#{i + 1}", seed)
+        for case in exercise_cases(key)
         for i in range(3 if is_ordinary(case) else 1)
     ]
 

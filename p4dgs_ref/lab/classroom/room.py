@@ -138,9 +138,9 @@ the tutorial that explains each equation.
 ## How it is graded
 
 10 points an equation: 3 for the forward on ordinary inputs, 3 for the gradients, and 4 for the hard
-cases (zeros, kinks, ties, tails, empty axes, clamps and others). If there is no gradient, the other
-parts share all points. Each part counts by its share of right outputs and gradients. A formula that
-is right on paper but has too few digits in float64 loses most of the hard cases.
+cases (zeros, kinks, ties, tails, clamps and others). If there is no gradient, the other parts share
+all points. Each part counts by its share of right outputs and gradients. A formula that is right on
+paper but has too few digits in float64 loses most of the hard cases.
 
 - The inputs depend on a seed. They are those of the published test cases, changed at random where
   that does not defeat the purpose of the case. The cotangents are random.
