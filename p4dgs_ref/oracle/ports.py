@@ -122,24 +122,29 @@ class FunctionPort:
         self.asked = ROLES if vjp else ROLES[:1]
 
     @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
-    def given(self, case):
+    def arguments(self, case):
         """Return the inputs and cotangents of a case, new copies in the precision of the check."""
         return cast(case.inputs(), self.dtype), cast(case.cotangents(), self.dtype)
 
     def run(self, case):
-        """Call the function with the inputs of a case. Raises PortError."""
+        """Return the function's answer to a case. Raises PortError."""
         refuse_not_judged(case, self.dtype)
-        given = inputs, cotangents = self.given(case)
+        got = self.answer(case)
+        refuse_other_types(case, got, self.dtype)
+        return got
+
+    def answer(self, case):
+        """Call the function with the inputs of a case; return flat arrays. Raises PortError."""
+        arguments = inputs, cotangents = self.arguments(case)
         try:
-            got = _arrays(_named(self.forward(**inputs), case), "out.", case)
+            got = _arrays(_by_name(self.forward(**inputs), case), "out.", case)
             if self.vjp is not None and cotangents:
                 got |= _arrays(self.vjp(inputs, cotangents), "in_bar.", case)
         except (Exception, SystemExit) as error:  # any failure of a port is its verdict
             raise PortError("error", f"{type(error).__name__}: {error}") from None
-        for before, after in zip(self.given(case), given):
+        for before, after in zip(self.arguments(case), arguments):
             for finding in differences(flatten(before), flatten(after)):
                 raise PortError("error", f"the function changes its argument {finding.tensor}")
-        refuse_other_types(case, got, self.dtype)
         return got
 
 
@@ -157,7 +162,7 @@ def refuse_other_types(case, got, dtype):
             raise PortError("nonsense", f"{message}{got[name].dtype}")
 
 
-def _named(out, case):
+def _by_name(out, case):
     """Return a function's outputs as {name: value}. Raises TypeError."""
     names = dict.fromkeys(n.split(".")[1] for n in case.tensors if n.startswith("out."))
     if isinstance(out, dict):
@@ -165,27 +170,29 @@ def _named(out, case):
     if len(names) == 1 and not isinstance(out, tuple):
         out = (out,)
     if not isinstance(out, (tuple, list)) or len(out) != len(names):
-        raise TypeError(f"expected the outputs {', '.join(names)}, got {_said(out)}")
+        raise TypeError(f"expected the outputs {', '.join(names)}, got {_description(out)}")
     return dict(zip(names, out))
 
 
 def _arrays(values, prefix, case):
     """Return the values as flat arrays; a value is a list where the case's tensor is one."""
     if not isinstance(values, dict):
-        raise TypeError(f"expected a dictionary of gradients, got {_said(values)}")
-    given = {}
+        raise TypeError(f"expected a dictionary of gradients, got {_description(values)}")
+    arrays = {}
     for name, value in values.items():
-        is_list = f"{prefix}{name}.0" in case.tensors
+        is_list = {f"in.{name}.0", f"out.{name}.0"} & case.tensors.keys()
         if is_list and not isinstance(value, (list, tuple, np.ndarray)):
-            raise TypeError(f"{name}: expected a list of arrays, got {_said(value)}")
+            raise TypeError(f"{name}: expected a list of arrays, got {_description(value)}")
         if any(map(np.ma.is_masked, value if is_list else [value])):
             raise TypeError(f"{name}: expected an array without masked elements")
         if value is not None:
-            given[name] = list(value) if is_list else np.asarray(value)
-    return flatten(given, prefix)
+            arrays[name] = list(value) if is_list else np.asarray(value)
+    # The order of the bytes of a number says nothing about it.
+    flat = flatten(arrays, prefix).items()
+    return {name: a.astype(a.dtype.newbyteorder("="), copy=False) for name, a in flat}
 
 
-def _said(value):
+def _description(value):
     """Return a few words on a value of the wrong kind."""
     is_several = isinstance(value, (tuple, list))
     return f"{len(value)} of them" if is_several else f"one {type(value).__name__}"

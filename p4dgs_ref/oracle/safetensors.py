@@ -41,8 +41,8 @@ class TensorError(ValueError):
 def dump(arrays, metadata=None):
     """Return the bytes of a file.
 
-    Wide types come first, so that every tensor is aligned to its own width. Raises KeyError for a
-    type that is not in DTYPES.
+    Wide types come first, so that every tensor is aligned to its own width. Raises TensorError for
+    a type that is not in DTYPES.
     """
     header = {"__metadata__": metadata} if metadata else {}
     parts, at = [], 0
@@ -58,7 +58,8 @@ def dump(arrays, metadata=None):
 
 def record_of(array):
     """Return {dtype, shape} of an array and its bytes; `array_of` undoes it."""
-    dtype = NAMES[array.dtype.newbyteorder("<")]
+    dtype = NAMES.get(array.dtype.newbyteorder("<"))
+    require(dtype, "dtype", f"expected one of {', '.join(DTYPES)}, got {array.dtype}")
     return {"dtype": dtype, "shape": list(array.shape)}, array.astype(DTYPES[dtype]).tobytes()
 
 

@@ -151,7 +151,8 @@ paper but has too few digits in float64 loses most of the hard cases.
   nodes. Only the modules that the file imported originally, and those that they use, can be
   imported from `p4dgs_ref`.
 - Functions receive float64 and must return numbers of float64, or integers where the equation says
-  so. Another type gets no points. Printed text is ignored.
+  so, in arrays or nested lists. Another type gets no points, and neither do masked elements or a
+  function that writes into its arguments. Printed text is ignored.
 - A function that runs for more than 5 seconds on one input is stopped. All answers from your files
   together have one minute; when little of it is left, an answer gets a tenth of the rest.
 - Your teacher is told which files of two students are alike, which are like the package's own, and

@@ -22,7 +22,8 @@ import numpy as np
 
 from ...lessons import WrongForm, gradients_of, outputs_of
 from ...oracle.adapter import Adapter, packed, unpacked
-from ...oracle.published import Golden, flatten
+from ...oracle.ports import FunctionPort, PortError
+from ...oracle.published import Golden
 from ...splatting.table import EQUATIONS
 from .room import text_of
 
@@ -136,15 +137,17 @@ def main(path):
     requests, sys.stdin = sys.stdin, open(os.devnull)  # input() in a student's file ends at once
     replies, sys.stdout = sys.stdout, sys.stderr
     for request in map(json.loads, requests):
-        reply = tried(path, request) if "id" in request else {"p4dgs_oracle": 1}
+        reply = reply_to(path, request) if "id" in request else {"p4dgs_oracle": 1}
         end_without(parent)
         print(json.dumps(reply), file=replies, flush=True)
 
 
-def tried(path, request):
+def reply_to(path, request):
     """Return the fields of the reply to one case: an answer, or the error of the student's file."""
     try:
         return {"id": request["id"], **answer(load(path), request)}
+    except PortError as error:
+        return {"id": request["id"], "error": str(error)}
     except BaseException as error:
         return {"id": request["id"], "error": f"{type(error).__name__}: {error}".strip(": ")}
 
@@ -158,18 +161,23 @@ def answer(eq, request):
         for name, a in unpacked(request, role).items()
     }
     case = Golden(request["id"], "", eq.key, eq.key, "", request, tensors)
-    pair = eq.forward(**case.inputs())
-    if not isinstance(pair, tuple) or len(pair) != 2:
-        raise WrongForm("expected a pair, the output and what backward needs")
-    if request["subject"] == "forward":
-        values, role = outputs_of(pair[0], eq.outputs), "out"
-    else:
-        values, role = (
-            gradients_of(eq.backward(pair[1], **case.cotangents()), eq.gradients),
-            "in_bar",
-        )
-    listed = {
-        name: list(value) if isinstance(value, (list, tuple)) else np.asarray(value)
-        for name, value in values.items()
-    }
-    return {"out": {}, "in_bar": {}, role: {n: packed(a) for n, a in flatten(listed).items()}}
+
+    def pair(inputs):
+        pair = eq.forward(**inputs)
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise WrongForm("expected a pair, the output and what backward needs")
+        return pair
+
+    def forward(**inputs):
+        return outputs_of(pair(inputs)[0], eq.outputs)
+
+    def vjp(inputs, cotangents):
+        return gradients_of(eq.backward(pair(inputs)[1], **cotangents), eq.gradients)
+
+    is_forward = request["subject"] == "forward"
+    port = FunctionPort(forward) if is_forward else FunctionPort(lambda **_: {}, vjp)
+    fields = {"out": {}, "in_bar": {}}
+    for name, array in port.answer(case).items():
+        role, _, name = name.partition(".")
+        fields[role][name] = packed(array)
+    return fields

@@ -118,6 +118,8 @@ NO_SUM = """return {"x_a": x_bar[:, -1], "O_a": x_bar * saved[1][:, None, :],
 NO_FACTOR = """O_a = saved[0]
 return {"x_a": x_bar.sum(axis=1), "O_a": x_bar, "l_a": (x_bar * O_a).sum(axis=1)}"""
 TWO = 'return {"x_a": x_bar.sum(axis=1), "O_a": x_bar * saved[1][:, None, :]}'
+LISTS = """return {"x_a": x_bar.sum(axis=1).tolist(), "O_a": (x_bar * saved[1][:, None]).tolist(),
+"l_a": (x_bar * saved[0]).sum(axis=1).tolist()}"""
 SAVES_MORE = RIGHT + "return x, (O_a, l_a, 1)"
 AWAY = """sign = np.where(f / q < 0, -1, 1)
 symbols = (sign * np.floor(np.abs(f / q) + 0.5)).astype(np.int64)
@@ -170,9 +172,31 @@ GRADED = {
     ),
     # beside a tie, adding a half rounds up, which is another mistake than the known one
     "only hard cases": ("rounding", AWAY, None, None, {"forward": "6 of 6"}, "instead of to even"),
-    "prints and changed inputs": (
-        *("offsets", 'print("x" * 100_000)\n' + RIGHT + "x_a[:] = 7\nreturn x, (O_a, l_a)"),
+    "prints": (
+        *("offsets", 'print("x" * 100_000)\n' + RIGHT + "return x, (O_a, l_a)"),
         *(None, 10, {}, ""),
+    ),
+    # What `oracle.check` and a tutorial say of an answer, `grade` says too.
+    "nested lists": (*("offsets", RIGHT + "return x.tolist(), (O_a, l_a)", LISTS, 10, {}, ""),),
+    "numbers of another byte order": (
+        *("offsets", RIGHT + "return x.astype('>f8'), (O_a, l_a)", None, 10, {}, ""),
+    ),
+    "changed inputs": (
+        *("offsets", RIGHT + "x_a[:] = 7\nreturn x, (O_a, l_a)", None, 6, NO_FORWARD),
+        "the function changes its argument x_a",
+    ),
+    "complex": (
+        *("offsets", RIGHT + "return x + 0j, (O_a, l_a)", None, 6, NO_FORWARD),
+        "got complex128",
+    ),
+    "masked": (
+        *("offsets", RIGHT + "return np.ma.array(x, mask=True), (O_a, l_a)", None, 6, NO_FORWARD),
+        "expected an array without masked elements",
+    ),
+    "one finding for each direction": (
+        *("offsets", AS_LOGARITHM, "return {'x': x_bar}", 0, NOTHING),
+        "l_a is taken for a logarithm: exp(l_a) scales the offsets [offsets-log-reach]\n"
+        "backward: the gradient of x_a is missing",
     ),
     "names that mean something else": (
         "offsets",
