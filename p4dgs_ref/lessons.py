@@ -353,6 +353,15 @@ def axes_of(case, tensor):
     return " = ".join(dict.fromkeys((names, str(list(case.tensors[tensor].shape)))))
 
 
+def numbers_of(case):
+    """Return the numbers that a case shows: lengths of axes, settings and single inputs."""
+    inputs = [a for name, a in case.tensors.items() if name.startswith("in.")]
+    lengths = [length for a in inputs for length in a.shape]
+    single = [a.item() for a in inputs if a.size == 1]
+    settings = [v for v in case.record["settings"].values() if isinstance(v, (int, float))]
+    return [*lengths, *single, *settings]
+
+
 @np.errstate(all="ignore")
 def difference(mine, right, example="", excluded=()):
     """Return how an array differs from the right one of the same shape.
@@ -363,15 +372,6 @@ def difference(mine, right, example="", excluded=()):
     several numbers have nothing in common.
     """
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
-def numbers_of(case):
-    """Return the numbers that a case shows: lengths of axes, settings and single inputs."""
-    inputs = [a for name, a in case.tensors.items() if name.startswith("in.")]
-    lengths = [length for a in inputs for length in a.shape]
-    single = [a.item() for a in inputs if a.size == 1]
-    settings = [v for v in case.record["settings"].values() if isinstance(v, (int, float))]
-    return [*lengths, *single, *settings]
-
-
     wrong = ~np.isclose(mine, right, rounding, 0)
     not_finite = np.argwhere(np.isfinite(right) & ~np.isfinite(mine))[:1].tolist()
     exact = right.astype(float)  # sums of squares of small integers would overflow

@@ -175,7 +175,7 @@ def _by_name(out, case):
 
 
 def _arrays(values, prefix, case):
-    """Return the values as flat arrays; a value is a list where the case's tensor is one."""
+    """Return the values as flat arrays; a value is a list if the case's tensor or input is one."""
     if not isinstance(values, dict):
         raise TypeError(f"expected a dictionary of gradients, got {_description(values)}")
     arrays = {}

@@ -49,7 +49,7 @@ def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
         minute, read = Minute(), {key: source_in(files, key) for key in keys}
         works.append((name, {key: source for key, (source, _) in read.items()}))
         rows = [row_of(key, files, *read[key], seed, minute) for key in keys]
-        points = round(sum(row["points"] for row in rows), 4)
+        points = round(sum(row["points"] for row in rows), 1)
         students.append(
             {"student": name, "points": points, "of": POINTS * len(rows), "equations": rows}
         )
@@ -82,10 +82,11 @@ def row_of(key, files, source, says, seed, minute):
             shares = [right / asked for right, asked in parts.values()]
             points = POINTS * np.average(shares, weights=[SHARES[part] for part in parts])
             says = "" if points == POINTS else reason(key, student)
+            points = round(float(points), 1) if not says else min(round(float(points), 1), 9.9)
     return {
         "number": EQUATIONS[key].number,
         "key": key,
-        "points": round(float(points), 4),
+        "points": points,
         "parts": {part: f"{right} of {asked}" for part, (right, asked) in parts.items()},
         "unusual": " ".join(unusual(source)),
         "says": says,
@@ -114,7 +115,11 @@ def wrong_in(case, student, part):
 
 
 def reason(key, student):
-    """Return what is wrong with the forward or the backward on the published cases."""
+    """Return what is wrong on the published cases, once for the forward and once for the backward.
+
+    A backward that only fails as the forward does is not mentioned.
+    """
+    parts = {}  # {message: part}
     for part in parts_of(key):
         message, _ = problem(exercise_cases(key), student.part(part), (ROLES[part],))
         parts.setdefault(message, part)
@@ -141,12 +146,12 @@ def cases(key, seed):
     ]
 
 
-def drawn(case, id, seed):
+def random_case(case, id, seed):
     """Return a case with changed inputs, new cotangents and the reference's answers to them."""
     eq, inputs = EQUATIONS[case.equation], case.inputs()
     rng = np.random.default_rng([seed, *id.encode()])
     if not FLAGS_OF_KEPT_INPUTS & {case.name, *case.record["flags"]}:
-        inputs = change_floats(inputs, lambda a: scaled(a, rng))
+        inputs = change_floats(inputs, lambda a: scale_rows(a, rng))
     cotangents = tolerance.cotangents_of(eq, eq(**inputs), f"{seed}/{id}")
     answer = tolerance.answer_of(eq)
     answers = answer(inputs, cotangents)
@@ -160,7 +165,7 @@ def drawn(case, id, seed):
     return case._replace(id=id, tensors=tensors)
 
 
-def scaled(a, rng):
+def scale_rows(a, rng):
     """Return an array whose rows are multiplied by random numbers; unit vectors stay.
 
     Factors from 0.8 to 1 preserve signs, zeros and upper bounds on magnitudes; one for a whole row
@@ -174,10 +179,13 @@ def scaled(a, rng):
 
 # --- the grades as rows and as text ---------------------------------------------------------------
 def rows_of(grades):
-    """Return the table of a class: a row for each student, with the points of every equation."""
+    """Return the table of a class: a row for each student, with the points of every equation.
+
+    A name that a spreadsheet would take for a formula gets an apostrophe.
+    """
     return [
         {
-            "student": student["student"],
+            "student": "'" * student["student"].startswith(tuple("=+-@")) + student["student"],
             **{row["key"]: row["points"] for row in student["equations"]},
             "points": student["points"],
             "of": student["of"],
@@ -206,6 +214,6 @@ def details(student):
         lines.append(f"{NOT_BEGUN}: {', '.join(left)}")
     for row in (row for row in rows if row["key"] not in left):
         parts = ", ".join(f"{part} {right}" for part, right in row["parts"].items())
-        lines.append(f"{row['key']:<20}  {row['points']:5.2f} of {POINTS}  {parts}".rstrip())
+        lines.append(f"{row['key']:<20}  {row['points']:4.1f} of {POINTS}  {parts}".rstrip())
         lines += [f"    {line}" for line in row["says"].splitlines()]
     return "\n".join(lines)

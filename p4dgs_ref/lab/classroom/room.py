@@ -7,6 +7,7 @@ DIR/key/          the complete files, which stay with the teacher
 
 import ast
 import inspect
+import tokenize
 from pathlib import Path
 
 from ...lessons import tutorial_of
@@ -75,14 +76,15 @@ def keys_of(folder):
 
 
 def text_of(path):
-    """Return the text of a student's file, with or without a byte order mark.
+    """Return the text of a student's file, decoded as Python decodes it.
 
-    Raises StudyError for a pipe, a device, a link to one, or a file that is too large, and
-    OSError or UnicodeDecodeError where it cannot be read.
+    Raises StudyError for a pipe, a device, a link to one, or a file that is too large, OSError if
+    it cannot be read, and SyntaxError or UnicodeDecodeError if it is not in its encoding.
     """
     if path.exists() and not (path.is_file() and path.stat().st_size <= MAX_STUDENT_BYTES):
         raise StudyError(f"expected a regular file of at most {MAX_STUDENT_BYTES:,} bytes")
-    return path.read_text(encoding="utf-8-sig")
+    with tokenize.open(path) as file:
+        return file.read()
 
 
 # --- the files that students get ------------------------------------------------------------------
@@ -133,7 +135,8 @@ the tutorial that explains each equation.
 - In Python, `eq = classroom.load("DIR/offsets.py")` with `from p4dgs_ref.lab import classroom`
   loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
-- Hand in this folder. Each file is a regular file of at most 200,000 bytes in UTF-8.
+- Hand in this folder. Each file is a regular file of at most 200,000 bytes, in UTF-8 or in the
+  encoding that it declares.
 
 ## How it is graded
 

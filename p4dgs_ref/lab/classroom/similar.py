@@ -30,13 +30,13 @@ def pairs(works):
     """
     solved = ("the key", {key: source_of(key) for _, sources in works for key in sources})
     found = [
-        {"students": [one, other], "keys": [key for key in a if alike(key, a[key], b[key])]}
+        {"students": [one, other], "keys": [key for key in a if are_alike(key, a[key], b[key])]}
         for (one, a), (other, b) in combinations([*works, solved], 2)
     ]
     return [pair for pair in found if pair["keys"]]
 
 
-def alike(key, one, other):
+def are_alike(key, one, other):
     """Return whether two sources of an equation are alike."""
     mine, theirs = (statements(source) - statements(stub(key)) for source in (one, other))
     same, *lengths = (len("".join(lines)) for lines in (mine & theirs, mine, theirs))

@@ -21,7 +21,7 @@ from p4dgs_ref.lab.classroom.room import (
     source_of,
     stub,
 )
-from p4dgs_ref.lab.classroom.similar import alike
+from p4dgs_ref.lab.classroom.similar import are_alike
 from p4dgs_ref.lessons import TUTORIALS
 from p4dgs_ref.oracle import published
 from p4dgs_ref.splatting.table import EQUATIONS
@@ -142,7 +142,7 @@ GRADED = {
         "forward: error in offsets/ordinary: NotImplementedError: later",
     ),
     "a gradient without its sum": (
-        *("offsets", None, NO_SUM, 8.3333, {"forward": "3 of 3", "gradients": "6 of 9"}),
+        *("offsets", None, NO_SUM, 8.3, {"forward": "3 of 3", "gradients": "6 of 9"}),
         "backward: the gradient of x_a: 15 of 15 numbers are wrong",
     ),
     "a known mistake, not punished twice": (
@@ -270,7 +270,7 @@ def test_all_answers_of_a_student_share_a_minute(monkeypatch):
     "text, reason",
     [
         ("def forward(:\n", "offsets.py: SyntaxError"),
-        (b"\xff", "offsets.py: UnicodeDecodeError"),
+        (b"\xff", "offsets.py: SyntaxError: invalid or missing encoding declaration"),
         (None, "offsets.py: FileNotFoundError"),
         (os.mkfifo, "offsets.py: StudyError: expected a regular file of at most 200,000 bytes"),
         (
@@ -296,6 +296,21 @@ def test_files_that_are_not_equations(room, text, reason):
     assert row["points"] == 0 and reason in row["says"]
 
 
+def test_a_file_is_read_in_the_encoding_that_it_declares(room):
+    file = room / "student" / "offsets.py"
+    file.write_bytes(b"# -*- coding: latin-1 -*-\n# \xe9\n" + source_of("offsets").encode())
+    (row,) = classroom.grade(room)["students"][0]["equations"]
+    assert (row["points"], row["says"]) == (10, "")
+
+
+def test_a_name_is_text_in_a_spreadsheet():
+    student = {"points": 0.0, "of": 0, "equations": []}
+    names = ("=1+1", "@x", "-2", "anna")
+    grades = {"seed": 1, "alike": [], "students": [{"student": n, **student} for n in names]}
+    shown = [row["student"] for row in classroom.rows_of(grades)]
+    assert shown == ["'=1+1", "'@x", "'-2", "anna"]
+
+
 @pytest.mark.slow
 def test_a_file_that_is_right_for_published_inputs_alone_is_wrong(room):
     sums = {np.abs(case.tensors["in.x_a"]).sum() for case in published.cases("offsets")}
@@ -306,15 +321,15 @@ def test_a_file_that_is_right_for_published_inputs_alone_is_wrong(room):
 
 
 # --- files that are alike -------------------------------------------------------------------------
-SHORT = [key for key in KEYS if not alike(key, source_of(key), source_of(key) + "\n")]
+SHORT = [key for key in KEYS if not are_alike(key, source_of(key), source_of(key) + "\n")]
 
 
 def test_the_key_is_like_itself_but_short_equations_are_alike_by_chance():
     assert f"at most {MAX_STUDENT_BYTES:,} bytes" in STUDENT
     assert "`, `".join(SHORT) in " ".join(TEACHER.split()) and "offsets" in SHORT
-    assert all(alike(key, source_of(key), source_of(key)) for key in KEYS)
-    assert not any(alike(key, stub(key), source_of(key)) for key in KEYS)
-    assert not alike("offsets", "", "")
+    assert all(are_alike(key, source_of(key), source_of(key)) for key in KEYS)
+    assert not any(are_alike(key, stub(key), source_of(key)) for key in KEYS)
+    assert not are_alike("offsets", "", "")
 
 
 @pytest.mark.parametrize(
@@ -330,7 +345,7 @@ def test_the_key_is_like_itself_but_short_equations_are_alike_by_chance():
 )
 def test_copy_with_small_changes_is_noticed(old, new):
     source = source_of("mlp")
-    assert old in source and alike("mlp", source.replace(old, new), source)
+    assert old in source and are_alike("mlp", source.replace(old, new), source)
 
 
 @pytest.mark.parametrize("path", few([*SOLUTIONS, WHOLE_PAPER], 3), ids=lambda path: path.stem)
@@ -338,7 +353,7 @@ def test_answers_written_independently_are_far_from_copies(path, monkeypatch):
     monkeypatch.setattr(similar, "ALIKE", similar.ALIKE / 2)
     keys = next((t.keys for t in TUTORIALS if t.name == path.stem), ()) or KEYS
     source = path.read_text(encoding="utf-8")
-    assert [key for key in keys if alike(key, source, source_of(key))] == []
+    assert [key for key in keys if are_alike(key, source, source_of(key))] == []
 
 
 def test_names_that_no_equation_needs_are_listed():
