@@ -71,7 +71,7 @@ def lines_of(path):
 
 
 def choose_kernels():
-    """Ask for the kernels of AVX2 before NumPy loads; warn where it has loaded others."""
+    """Ask for the kernels of AVX2 before NumPy loads; warn if it has loaded others."""
     from importlib.metadata import version
 
     release = tuple(map(int, version("numpy").split(".")[:2]))

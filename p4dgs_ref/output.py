@@ -30,7 +30,7 @@ except ImportError:  # not Windows
     msvcrt = None
 
 PART = ".p4dgs-part-"
-LOCK = ".p4dgs-lock"  # a file in a locked folder, where the folder itself cannot be locked
+LOCK = ".p4dgs-lock"  # a file in a locked folder, if the folder itself cannot be locked
 
 
 class OutputError(ValueError):
@@ -41,7 +41,7 @@ class OutputError(ValueError):
 def locked(folder):
     """Hold the lock of a folder, which the system releases when the process ends.
 
-    Raises OutputError where another process holds it. Not every file system has locks.
+    Raises OutputError if another process holds it. Not every file system has locks.
     """
     path = Path(folder) if fcntl else Path(folder) / LOCK
     handle = os.open(path, os.O_RDONLY if fcntl else os.O_RDWR | os.O_CREAT)
@@ -194,7 +194,7 @@ def staged_folder(path, reads=None):
 
 
 def move(file, target):
-    """Put a file in the place of another one, which may be on another disk, where a link led."""
+    """Put a file in the place of another one, which may be on another disk, if a link led there."""
     try:
         os.replace(file, target)
     except OSError as error:

@@ -4,7 +4,7 @@ import signal
 import threading
 from contextlib import contextmanager
 
-# The last one comes where a terminal is closed; Windows does not have it.
+# The last one comes if a terminal is closed; Windows does not have it.
 SIGNALS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
 RESEND_SECONDS = 0.02  # after which a signal that came too early is sent again
 
@@ -31,7 +31,7 @@ ENDING = (signal.SIG_DFL, signal.default_int_handler, interrupt)
 def handled(handler):
     """Within this context, `handler` receives the signals that would otherwise end the program.
 
-    Nothing is changed in other threads, or where a signal is ignored or has a handler already.
+    Nothing is changed in other threads, or if a signal is ignored or has a handler already.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
     before = {number: signal.getsignal(number) for number in SIGNALS if in_main_thread}

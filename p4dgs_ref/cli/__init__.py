@@ -29,7 +29,7 @@ def visible(text, kept=""):
 
 
 def write_stderr(text):
-    """Print on stderr; where it is full, or its terminal closed, the command goes on."""
+    """Print on stderr; if it is full, or its terminal closed, the command goes on."""
     with suppress(OSError):
         print(text, end="", file=sys.stderr, flush=True)
 

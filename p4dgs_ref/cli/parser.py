@@ -30,7 +30,7 @@ promises" in tutorials/reference.md has the details."""
 
 
 class Version(argparse.Action):
-    """The option --version; NumPy loads only where it is asked for."""
+    """The option --version; NumPy loads only if it is asked for."""
 
     def __call__(self, parser, *others):
         print_result(f"{arithmetic()}\n{KEPT}")
@@ -39,7 +39,7 @@ class Version(argparse.Action):
 
 # --- types of values, as argparse asks for them ---
 def number_in_range(kind, low, high=1e18):
-    """A reader of an integer or a real number from low to high."""
+    """Return a reader of an integer or a real number from low to high."""
 
     def read(text):
         with suppress(ValueError):
@@ -52,7 +52,7 @@ def number_in_range(kind, low, high=1e18):
 
 
 def nonempty_text(text):
-    """A text as it is, unless it is empty: as a path, it would stand for the current folder.
+    """Return a text unless it is empty: as a path, it would stand for the current folder.
 
     No path contains NUL.
     """
@@ -63,22 +63,22 @@ def nonempty_text(text):
 
 # --- parts of the table ---
 def option(*names, type=nonempty_text, **settings):
-    """An argument of a command with a value, in the words of argparse's `add_argument`."""
+    """Return an argument of a command with a value, as `add_argument` of argparse takes it."""
     return names, {"type": type, **settings}
 
 
 def switch(name, help):
-    """An option without a value."""
+    """Return an option without a value."""
     return (name,), {"action": "store_true", "help": help}
 
 
 def several(name, metavar, help, **settings):
-    """An option that may be repeated."""
+    """Return an option that may be repeated."""
     return option(name, action="append", default=[], metavar=metavar, help=help, **settings)
 
 
 def output(help, **settings):
-    """The option -o."""
+    """Return the option -o."""
     return option("-o", "--output", metavar="PATH", help=help, **settings)
 
 
@@ -333,7 +333,7 @@ GROUPS = {
 
 
 def in_groups():
-    """The commands under the headings of their groups, for the top-level help."""
+    """Return the commands under the headings of their groups, for the top-level help."""
     lines = ["P-4DGS in NumPy: train on tiny moving scenes; compress, decode and render them."]
     for heading, commands in GROUPS.items():
         lines += ["", f"{heading}:"]
@@ -362,7 +362,7 @@ def add_commands(parent, kind, table, **shown):
 
 
 def parser():
-    """The parser of all commands."""
+    """Return the parser of all commands."""
     top = Parser(
         prog="p4dgs-ref",
         usage="%(prog)s [-h] [--version] COMMAND ...",
@@ -394,7 +394,7 @@ def run(argv, start):
     arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
     with warnings.catch_warnings():
-        # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags where every number is right.
+        # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags with right numbers.
         warnings.filterwarnings("ignore", ".* encountered in matmul", RuntimeWarning)
         # They are messages of the command, which `python -W error` does not turn into tracebacks.
         warnings.filterwarnings("default", category=UserWarning)

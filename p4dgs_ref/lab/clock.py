@@ -1,7 +1,7 @@
 """Processor times taken in turns, their spread, and what may be said about them.
 
 The processor's clock of a process stands still while other programs run. They still share caches
-and frequency with it, so a time is given with its quartiles, and where the wall clock runs clearly
+and frequency with it, so a time is given with its quartiles, and if the wall clock runs clearly
 ahead of the processor's, the measurement was disturbed.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from ..training.trainer import Trainer
 
 ROUND_SECONDS = 0.3  # shorter rounds are repeated more often: other programs disturb them more
-MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, where nothing disturbs
+MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, if nothing disturbs
 
 
 def clocks():

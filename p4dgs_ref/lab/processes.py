@@ -45,8 +45,8 @@ def in_processes(function, tasks, jobs):
     """Yield function(task) for every task of a list, in their order, from `jobs` processes.
 
     With one job everything runs in this process. A task and its result must be picklable. The
-    processes end with this generator, also where it is stopped early. Raises ChildProcessError
-    where one of them ends before its work is done.
+    processes end with this generator, also if it is stopped early. Raises ChildProcessError
+    if one of them ends before its work is done.
     """
     jobs = min(jobs, len(tasks))
     if jobs <= 1:

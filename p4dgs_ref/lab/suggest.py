@@ -1,7 +1,7 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
 An effect reads the time of a view or the place of its camera. These values say something about the
-picture only where the effect plays a part. Training begins with the values shuffled among the
+picture only if the effect plays a part. Training begins with the values shuffled among the
 views. After half of the iterations it continues twice, once with the shuffled and once with the
 true values. Both see the views in the same order, so without the effect neither has an advantage.
 They are compared on views that were kept back from both. Occlusion is trained with and without it.

@@ -25,7 +25,7 @@ ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by r
 with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
 first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
 is closed, and a port that still runs a second later is killed, with all processes that it started
-where the system has process groups (Windows has none).
+if the system has process groups (Windows has none).
 """
 
 import base64
@@ -132,7 +132,7 @@ class Adapter(contextlib.AbstractContextManager):
         }
 
     def _ask(self, request, subject):
-        """Return the answer to a request. Raises PortError, also where the port skips or fails.
+        """Return the answer to a request. Raises PortError, also if the port skips or fails.
 
         After any other failure the process is ended, and the next case starts a new one.
         """
@@ -248,7 +248,7 @@ class Child:
         return lines[0][:-1]
 
     def _failure(self, running):
-        """Return the PortError of a process that has ended, or `running` where it still runs."""
+        """Return the PortError of a process that has ended, or `running` if it still runs."""
         try:
             code = self.process.wait(0.5)
         except subprocess.TimeoutExpired:

@@ -153,7 +153,7 @@ def judge(case, port, strict=False):
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}.
 
-    A tensor whose bound is too wide to judge it may still fail: where it is missing, has another
+    A tensor whose bound is too wide to judge it may still fail: if it is missing, has another
     shape, is not finite or is beyond even that bound.
     """
     got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}

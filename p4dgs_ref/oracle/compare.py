@@ -4,18 +4,18 @@ A float is right within c eps S, where S is stored beside it in the vectors and 
 tolerance `eps_S` for the port's precision; `tolerance.py` says how both were measured.
 
 A few cases ask for more digits than the paper's formulas have when they are computed as printed and
-differentiated by the textbook: the slope of tanh, 1 - tanh(y)**2, cancels where tanh is close to 1,
+differentiated by the textbook: the slope of tanh, 1 - tanh(y)**2, cancels if tanh is close to 1,
 and the square of a long vector overflows. A port that uses automatic differentiation has the right
 formula and misses these cases. So does a right port in float32 throughout where this project
 computes in float64 inside. How far such ports are off was measured with the printed formulas, every
-intermediate result rounded. The file PRINTED holds:
+intermediate result rounded. The file PRINTED contains:
 
     <precision>/<subject>/<case>/scale.out.x    the scale S of the printed formula
     <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: outputs
                                                 are 0 or infinite there, gradients also NaN
     <precision>/<subject>/<case>/other.out.x    all tensors if it culls the only Gaussian
 
-Where S is so wide that a wrong tensor would be as near as the printed formula, or where the formula
+If S is so wide that a wrong tensor would be as near as the printed formula, or if the formula
 leaves the range, no answer is acceptable: the tensor is not judged, and the report names it.
 """
 
@@ -55,7 +55,7 @@ class Result(NamedTuple):
     id: str
     equation: str
     level: str
-    # pass; fail; acceptable (the printed formula is no better here or, where the case says so,
+    # pass; fail; acceptable (the printed formula is no better here or, if the case says so,
     # another answer is defensible); not_judged (none of the case's tensors is judged); or the kind
     # of a PortError
     verdict: str
@@ -220,7 +220,7 @@ def _element(name, index, got, want):
 def deviations(mine, right, scale, precision_of):
     """Return |got - want| of every element, plain and in units of eps S.
 
-    Both are infinite where one side is NaN or the two are unequal infinities. A deviation up to the
+    Both are infinite if one side is NaN or the two are unequal infinities. A deviation up to the
     smallest normal number is always allowed, because smaller numbers have few digits and much
     hardware replaces them by 0.
     """

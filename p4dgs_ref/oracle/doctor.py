@@ -2,8 +2,8 @@
 
 A known mistake is one way in which ports go wrong. `tests/workshop/mistakes` defines each as a
 change of behaviour and computes what a port with that mistake answers to the published cases. The
-folder `mistakes_v1` holds these answers: `mistakes.json` lists the mistakes, and one compressed
-safetensors file a subject holds every tensor that a mistake gets wrong, as
+folder `mistakes_v1` contains these answers: `mistakes.json` lists the mistakes, and one compressed
+safetensors file a subject contains every tensor that a mistake gets wrong, as
 `<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
 For a mistake's `noisy` cases, in which its answers are rounding noise, nothing is stored and any
 answer agrees.
@@ -11,7 +11,7 @@ answer agrees.
 A mistake explains wrong answers if it agrees with all of them and shows in no tensor that the port
 gets right. One that agrees with most of the failing cases is a hint. Weaker evidence is not
 mentioned, because a wrong diagnosis costs more time than none: a mistake in the outputs is not
-offered for gradients alone, and gradients say nothing where the outputs are wrong for an unknown
+offered for gradients alone, and gradients say nothing if the outputs are wrong for an unknown
 reason.
 """
 
@@ -53,7 +53,7 @@ class Diagnosis(NamedTuple):
     mistake: Mistake
     cases: tuple  # ids of the failing cases that agree
     failed: int  # number of failing cases
-    part: str = ""  # "outputs" or "gradients" where only those were compared
+    part: str = ""  # "outputs" or "gradients" if only those were compared
     certain: bool = True  # whether all wrong answers are explained; otherwise it is a hint
 
     def __str__(self):

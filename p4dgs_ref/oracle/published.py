@@ -42,11 +42,11 @@ class Golden(NamedTuple):
     id: str
     name: str
     subject: str
-    equation: str  # the equation to blame where the case fails
+    equation: str  # the equation to blame if the case fails
     level: str
     record: dict  # the case's record in the manifest
     tensors: dict  # {"in.x_a": array, "out.x": array, "scale.out.x": array, ...}
-    group: str = ""  # of GROUPS, where a port may leave the subject out
+    group: str = ""  # of GROUPS, if a port may leave the subject out
 
     def inputs(self):
         """Return the keyword arguments of forward: tensors, lists of tensors and settings."""
@@ -172,7 +172,7 @@ def flatten(values, prefix=""):
 def unflatten(tensors, prefix):
     """Undo `flatten`. The arrays are copied, because a port may write into its inputs.
 
-    Floats become float64, also where they are stored as float32 to save space.
+    Floats become float64, also if they are stored as float32 to save space.
     """
     values = {}
     for name, a in tensors.items():

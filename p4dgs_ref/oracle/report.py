@@ -11,7 +11,7 @@ RECIPE_HEAD = "right formula, fewer digits here; the recipe is"
 
 
 def name_of(equation):
-    """Return `Eq. (11) likelihood`, or the key alone where there is no number."""
+    """Return `Eq. (11) likelihood`, or the key alone if there is no number."""
     number = subjects().get(equation, {"number": ""})["number"]
     return f"Eq. ({number}) {equation}" if number else equation
 
@@ -100,7 +100,7 @@ def _case(result):
 
 
 def _difference(result, finding):
-    """Return what is wrong with a tensor and, where there is one for every step, after which."""
+    """Return what is wrong with a tensor and, if there is one for every step, after which."""
     text = f"{finding.tensor}: {finding.kind}: " * (finding.kind != "value") + finding.message
     is_of_step = result.subject.endswith("_steps") and finding.kind != "extra"
     return f"after step {int(finding.tensor.split('.')[2]) + 1}: {text}" if is_of_step else text

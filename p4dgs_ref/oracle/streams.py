@@ -94,7 +94,7 @@ def stored(row, entry):
 def export(folder):
     """Copy the published vectors into a folder; return the number of its cases.
 
-    Raises OutputError where the folder holds other things, because files could be overwritten.
+    Raises OutputError if the folder contains other things, because files could be overwritten.
     """
     place = Path(folder)
     with staged_folder(place) as staging:

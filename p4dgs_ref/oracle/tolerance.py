@@ -2,7 +2,7 @@
 
 A sum whose terms have the size S cannot be computed more accurately than eps S, however small the
 sum itself is. Where terms cancel, a bound relative to the result would therefore ask for the
-impossible; where they do not, an absolute bound would let mistakes pass. For a number y of an
+impossible; if they do not, an absolute bound would let mistakes pass. For a number y of an
 output or a gradient,
 
     S = max(|y|, root of the sum over all input numbers x of (x dy/dx)**2)

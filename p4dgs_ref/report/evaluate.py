@@ -57,7 +57,7 @@ def evaluate(
 
     Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,
     ssim, render_fps, anchors, gaussians} and the `size` of the pictures; there is one row
-    {name, time, size, ...} and one image (H, W, 3) per view. Raises ValueError where the scene has
+    {name, time, size, ...} and one image (H, W, 3) per view. Raises ValueError if the scene has
     no such views. Warns of a scene that lies over another background than the model, and of test
     views that are training views.
     """

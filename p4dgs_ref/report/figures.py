@@ -69,7 +69,7 @@ def subplots(*shape, figsize, layout="constrained", **settings):
 
 def save_figure(figure, path):
     """Write a PNG without matplotlib's version in it, so that equal pictures are equal files."""
-    # In memory first: where the disk is full, `savefig` would remove the file that the error names.
+    # In memory first: if the disk is full, `savefig` would remove the file that the error names.
     png = io.BytesIO()
     figure.savefig(png, metadata={"Software": None})
     path.write_bytes(png.getvalue())

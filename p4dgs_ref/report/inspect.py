@@ -47,7 +47,7 @@ def ledger(data):
 
     A row has name, bytes, payload_bytes and header_bytes (whose sum is bytes), estimate_bytes (the
     entropy under the float model), integer_bytes (under the integer frequencies), symbols and
-    bits_per_symbol (None where there are no symbols). Content that is stored as it is has three
+    bits_per_symbol (None if there are no symbols). Content that is stored as it is has three
     equal sizes. GAPS explains the differences.
 
     Raises BitstreamError for a file that cannot be decoded.
@@ -98,7 +98,7 @@ def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
 
 
 def symbol_bits(q):
-    """Return the bits [A, n] of symbols under the integer frequencies, 0 where none is coded."""
+    """Return the bits [A, n] of symbols under the integer frequencies, 0 if none is coded."""
     bits = np.zeros(q.kept.shape)
     bits[q.kept] = ideal_bits_gaussian(
         q.symbols[q.kept], q.context.mu_units[q.kept], q.context.sigma_units[q.kept]

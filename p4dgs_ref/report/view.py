@@ -1,4 +1,4 @@
-"""One HTML page that shows .p4dgs files: it holds the scripts of `viewer/` and the files."""
+"""One HTML page that shows .p4dgs files: it contains the scripts of `viewer/` and the files."""
 
 import base64
 import json
@@ -30,7 +30,7 @@ def with_files(files, notes=None):
         {"name": Path(path).name, **notes.get(path, {}), "base64": base64.b64encode(data).decode()}
         for path, data in files.items()
     ]
-    # The page has an empty list of files. No "<" in a name may end the script that holds it.
+    # The page has an empty list of files. No "<" in a name may end the script that contains it.
     files = 'id="files">' + json.dumps(embedded).replace("<", r"\u003c")
     return (VIEWER / "page.html").read_text(encoding="utf-8").replace('id="files">[]', files)
 
@@ -38,7 +38,7 @@ def with_files(files, notes=None):
 def view(files, path):
     """Write the page for files {path: bytes} and return its size in bytes.
 
-    Raises OutputError where `path` cannot be written or is one of the files.
+    Raises OutputError if `path` cannot be written or is one of the files.
     """
     data = page(files)
     with new_file(path, *files, start=data[:9]):  # <!doctype

@@ -75,7 +75,7 @@ class View:
 
     name: str
     image: np.ndarray  # [H, W, 3] float32 in [0, 1], over the background of the scene
-    alpha: np.ndarray | None  # [H, W] float32 in [0, 1]; None where the files have no alpha
+    alpha: np.ndarray | None  # [H, W] float32 in [0, 1]; None if the files have no alpha
     camera: Camera
     time: float  # in [0, 1]
 
@@ -140,8 +140,8 @@ class Scene:
         """Make a scene from n images, cameras and times in [0, 1] instead of files.
 
         An image is [H, W, 3] or [H, W, 4], unsigned integers or floats in [0, 1]. RGBA is straight
-        (not premultiplied) and is laid over the background. `test` holds the indices of the views
-        that are not trained on. Without `effects` the scene has all of the model's.
+        (not premultiplied) and is laid over the background. `test` lists the indices of views that
+        are not trained on. Without `effects` the scene has all of the model's.
         """
         images, cameras, times = list(images), list(cameras), list(times)
         require(

@@ -176,7 +176,7 @@ def inputs(z, w, dtype):
 def errors(formula, z, w, dtype):
     """Return errors of bits, relative above SMALLEST_BITS, and of slopes, relative to the larger.
 
-    z and w are vectors of numbers that float32 can hold, so that both precisions have one truth.
+    z and w are vectors of numbers of float32, so that both precisions have one truth.
     """
     with np.errstate(all="ignore"):
         bits, (f_slope, _, q_slope) = formula(**inputs(z, w, dtype))
@@ -201,7 +201,7 @@ def relative_to(largest, gap):
 
     If both are 0 there is no error; if only `largest` is 0, it is 1.
 
-    Gaps that float64 holds with fewer digits than others are none.
+    Gaps that float64 represents with fewer digits than others are none.
     """
     gap = np.where(gap < np.finfo(float).tiny, 0.0, gap)
     without_scale = np.where(gap == 0, 0.0, np.where(np.isfinite(gap), 1.0, gap))

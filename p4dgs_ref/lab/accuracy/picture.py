@@ -11,7 +11,7 @@ NOTE = (
 )
 STYLE = {"font.size": 10, "axes.titlesize": 11, "axes.titleweight": "bold", "figure.dpi": 100}
 SMALLEST = 1e-9  # a smaller error is none
-LEFT = ("exact", "mirrored")  # choices with a label to the left, where another one is near
+LEFT = ("exact", "mirrored")  # choices with a label to the left, because another one is near
 
 
 def draw_panel(ax, rows, width):

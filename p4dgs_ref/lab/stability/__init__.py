@@ -4,7 +4,7 @@ Two things show them. A table has the result of the literal formula, ours, the t
 and a verdict for each case. The stability map shows the error of four formulas for Eq. (11) over
 the distance, above and below the mean, and the bin width.
 
-Inputs, cotangents and true values are those of the published vectors, where a case has the same id.
+Inputs, cotangents and true values are those of the published vectors, if a case has the same id.
 `hard_cases.json` adds one line a case:
 
     id          "H-R1.6sigma": the group H-R1, then which of its inputs
@@ -14,7 +14,7 @@ Inputs, cotangents and true values are those of the published vectors, where a c
     literal     the result of the printed formula, or of the usual shortcut, in either precision
     bounds      [largest error of outputs, of gradients or null] in either precision, relative
     each        outputs relative to each number, otherwise to the largest of the array
-    exact       [tensor, index, number] where the vectors hold this project's own gradient: the
+    exact       [tensor, index, number] if the vectors contain this project's own gradient: the
                 number with the largest error, from 50 digits; null is not compared
 
 In a checkout, `python -m tests.workshop.hard_cases.publish` writes the file.
@@ -35,7 +35,7 @@ from ..accuracy import formulas
 from ..writer import text_table
 
 FILE = Path(__file__).with_name("hard_cases.json")
-SMALLEST = 1e-44  # differences below are no errors: float32 cannot hold them
+SMALLEST = 1e-44  # differences below are no errors: float32 cannot represent them
 DTYPES = ("float64", "float32")
 COLUMNS = {
     "case": "{id}",
@@ -146,7 +146,7 @@ def json_number(value):
 def relative(got, want, each):
     """Return the largest error, relative to each number or to the largest of its array.
 
-    Where the true value is 0 the error is absolute; where it is NaN there is nothing to compare.
+    If the true value is 0 the error is absolute; if it is NaN there is nothing to compare.
     """
     if isinstance(got, list):
         return max((relative(g, w, each) for g, w in zip(got, want, strict=True)), default=0.0)
@@ -187,7 +187,7 @@ def plane():
 def maps():
     """Return log10 of the error of the bits, {(formula, dtype): array (distances, widths)}.
 
-    Errors are relative above 1e-6 bits, and infinite where a formula gives NaN or infinity.
+    Errors are relative above 1e-6 bits, and infinite if a formula gives NaN or infinity.
     """
     z, w = np.meshgrid(*plane(), indexing="ij")
     errors = {}

@@ -2,7 +2,7 @@
 
 Rays and points are in the frame of the body. A ray is o + t d with d of any length, so t keeps its
 meaning when the frame changes. Every `*_hit` returns the first t > 0 where a ray enters the shape
-from outside, infinity where it misses. Every `*_normal` returns the outward unit normals at points
+from outside, infinity if it misses. Every `*_normal` returns the outward unit normals at points
 of the surface. Every motion is a function of the time t in [0, 1]; a body with a parent moves with
 its parent.
 """
@@ -73,7 +73,7 @@ def capsule_hit(shape, o, d):
     m_across, d_across = m - m_along * axis, d - d_along[:, None] * axis
     outside = m_across @ m_across - shape.radius**2
     side = first_root(dot(d_across, d_across), d_across @ m_across, outside)
-    with np.errstate(invalid="ignore"):  # infinity times 0 where a ray along the axis misses
+    with np.errstate(invalid="ignore"):  # infinity times 0 if a ray along the axis misses
         along = m_along + side * d_along
     side = np.where((along >= 0) & (along <= length), side, np.inf)
     caps = [ball_hit(o, d, end, shape.radius) for end in (shape.start, shape.end)]
