@@ -76,7 +76,8 @@ def test_tables_of_lengths_and_effects_are_those_of_the_records():
         for row in rows:
             cells = [fill_form(form, row) for form in table.COLUMNS.values()]
             found.append(f"| {' | '.join(cells)} |")
-    assert [line for line in found if line not in page] == []
+    missing = [line for line in found if line not in page]
+    assert not missing, "the page of experiments lacks these rows:\n" + "\n".join(missing)
 
 
 def test_the_first_page_shows_table_3_beside_the_papers():

@@ -46,6 +46,12 @@ def test_a_record_has_all_rows_of_its_plan(name):
     assert [*rows_of(name)] == [task.key for task in PLANS[name]()]
 
 
+@pytest.mark.parametrize("name", ["training", "effects"])
+def test_each_training_has_its_own_seconds(name):
+    seconds = [row["train_seconds"] for row in rows_of(name).values()]
+    assert len({*seconds}) == len(seconds), "several rows share one time, as a copied median would"
+
+
 @turn("a row of a record")
 def test_one_row_of_a_record_is_made_again(tmp_path):
     """Another one each day. `P4DGS_TEST_SEED=20260131 pytest -m slow` makes that of a day."""
