@@ -23,7 +23,7 @@ __all__ = [*_HOME]
 
 
 def __getattr__(name):
-    """A public name, from the module that defines it; `oracle` is such a module itself."""
+    """Return a public name, from the module that defines it; `oracle` is such a module itself."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if _HOME[name] == ".":
@@ -32,5 +32,5 @@ def __getattr__(name):
 
 
 def __dir__():
-    """The names of the module and those that `__getattr__` imports."""
+    """Return the names of the module and those that `__getattr__` imports."""
     return sorted({*globals(), *__all__})

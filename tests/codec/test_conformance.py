@@ -196,7 +196,7 @@ def test_worked_numbers_of_the_format_page():
     of_context = ("h = 375", "q_units = 45913", "q = 0.1401153564453125", "mu_units = 3106")
     pages = {
         context: (*of_network, *of_context, "sigma_units = -35"),
-        file: ("-0.5844586861982147", "absent where nothing moves"),
+        file: ("-0.5844586861982147", "absent if nothing moves"),
         # What authors of decoders had to guess.
         header: ("Time is bounded by n,",),
     }
