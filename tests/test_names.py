@@ -17,7 +17,8 @@ FOLDERS = ("p4dgs_ref", "tests", "tiny_scenes", "tutorials")
 def test_names_in_backquotes_exist():
     """Where it fails, mend the sentence: the name was changed or has gone."""
     files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.*")]
-    pages = [*ROOT.glob("*.md"), *(file for file in files if file.suffix == ".md")]
+    files += ROOT.glob("*.*")
+    pages = [file for file in files if file.suffix == ".md"]
     words, prose = {}, {page: page.read_text(encoding="utf-8") for page in pages}
     for file in (file for file in files if file.suffix == ".py"):
         text = file.read_text(encoding="utf-8")
