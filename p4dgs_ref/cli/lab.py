@@ -5,6 +5,7 @@ Each imports the part of the laboratory that it needs.
 
 import os
 from contextlib import nullcontext
+from glob import glob
 
 from ..output import new_file, staged_folder
 from ..report.figures import write_csv
@@ -93,9 +94,12 @@ def grade(arguments):
     """Judge what students wrote."""
     from ..lab import classroom as room
 
+    folders = []
+    for name in arguments.folders:  # shells of Windows leave hand_in/* as it is
+        folders += [name] if os.path.exists(name) else sorted(glob(name)) or [name]
     with staged_folder(arguments.output) if arguments.output else nullcontext() as staging:
         grades = room.grade(
-            *arguments.folders,
+            *folders,
             classroom=arguments.classroom,
             seed=arguments.seed,
             progress=progress,

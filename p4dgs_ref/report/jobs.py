@@ -1,6 +1,7 @@
 """The main job: train on a scene, compress to a file, decode it, render, measure, draw."""
 
 import json
+import re
 import time
 import warnings
 from pathlib import Path
@@ -37,7 +38,7 @@ def main_job(
     no file holds, whose checkpoint stays in the folder.
     """
     start = time.perf_counter() if start is None else start
-    preset, name = choose(preset, changes), scene.name.replace("/", "_")
+    preset, name = choose(preset, changes), re.sub(r"[/\\:]", "_", scene.name)
     with staged_folder(folder) as staging:
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
