@@ -4,11 +4,13 @@ import numpy as np
 from scipy.special import xlogy
 
 from ..codec.container import read_container
-from ..codec.file import NETWORK_SECTIONS, attribute_columns, quantised_of
+from ..codec.file import ATTRIBUTE_SECTIONS, NETWORK_SECTIONS, attribute_columns, quantised_of
 from ..codec.plain import BOX_BYTES
 from ..codec.streams import ideal_bits_gaussian
-from ..equations import hash_grid, likelihood
+from ..equations import hash_grid, hash_rate, likelihood
 from ..model import context
+
+BLOCK = 2**22  # numbers of a block of anchors: 32 MiB, half of what a decoder may need
 
 # Why a section is larger than its entropy under the float model: from each size in a row of the
 # ledger to the next.
@@ -19,22 +21,54 @@ GAPS = {
 }
 
 
-def entropy_bits(flags):
-    """Return N+ (-log2 p+) + N- (-log2 p-) of a boolean array, Eq. (14): the least it can cost."""
-    n = np.array([np.count_nonzero(flags), np.size(flags) - np.count_nonzero(flags)], float)
-    n = n[n > 0]
-    return float((n * np.log2(n.sum() / n)).sum())
+def entropy_bits(grids):
+    """Return the bits of the signs of grids, a list of arrays, by Eq. (14): the least they cost."""
+    (R_hash, _, _), _ = hash_rate.forward(grids)
+    return float(R_hash)
 
 
-def float_context(model):
-    """Return the context as training computes it, in float64; the codec's is in integers."""
+def float_context(model, rows=slice(None)):
+    """Return the context of some anchors, or of all, in float64, as training computes it.
+
+    The codec computes it in integers (`codec/context.py`).
+    """
     design, (lo, hi) = model.design, (corner.astype(float) for corner in model.box)
-    return context(
-        design,
-        model.networks,
-        model.grids,
-        hash_grid.locate(model.anchors.x_a, lo, hi, design.grid, [T for T, _ in design.levels()]),
-    )[0]
+    tables = [T for T, _ in design.levels()]
+    located = hash_grid.locate(model.anchors.x_a[rows], lo, hi, design.grid, tables)
+    return context(design, model.networks, model.grids, located)[0]
+
+
+def float_bits(q, rows):
+    """Return the bits [rows, n] of the symbols of some anchors under the float model."""
+    prior = float_context(q.model, rows)
+    steps = np.repeat(q.context.q[rows], q.model.design.widths, axis=1)
+    return likelihood.forward(q.symbols[rows] * steps, prior.mu, prior.sigma, steps)[0]
+
+
+def blocks_of(q):
+    """Return slices of the anchors, so short that the numbers of one fit beside the model.
+
+    A file that the decoder accepts must not cost more memory here than there. A large grid makes
+    the blocks longer, because each of them reads all of it.
+    """
+    design, A = q.model.design, len(q.symbols)
+    nodes = sum(2 ** len(axes) for axes, _ in design.grid)
+    features = len(design.grid) * design.F
+    numbers = 8 * nodes + 16 * sum(design.widths) + sum(design.context) + features
+    entries = sum(grid.size for grid in q.model.grids)
+    size = max(1, (BLOCK + 2 * entries) // numbers)
+    return [slice(start, start + size) for start in range(0, A, size)]
+
+
+def attribute_bits(q):
+    """Return {section: bits [2]} of the attributes: the float model's, the integer frequencies'."""
+    totals = {name: np.zeros(2) for name in ATTRIBUTE_SECTIONS}
+    for rows in blocks_of(q):
+        floats, integers = float_bits(q, rows), symbol_bits(q, rows)
+        for name, columns in attribute_columns(q.model.design):
+            kept = q.kept[rows, columns]
+            totals[name] += [bits[:, columns][kept].sum() for bits in (floats, integers)]
+    return totals
 
 
 def stream_header(body, before):
@@ -54,23 +88,20 @@ def ledger(data):
     """
     sections = read_container(data)
     q = quantised_of(sections)
-    model, prior = q.model, float_context(q.model)
-    steps = np.repeat(q.context.q, model.design.widths, axis=1)
-    floats, _ = likelihood.forward(q.symbols * steps, prior.mu, prior.sigma, steps)
-    integers = symbol_bits(q)
+    model, totals = q.model, attribute_bits(q)
     parts = {
         "header": (len(sections["header"]),),
         "positions": (BOX_BYTES, q.positions.size),
     }
-    signs = np.concatenate([grid.ravel() for grid in model.grids]) > 0
-    for name, flags in (("masks", model.anchors.mask), ("hash_grid", signs)):
-        ones, f = np.count_nonzero(flags), int.from_bytes(sections[name][:4], "little") / 2**24
-        coded = -(xlogy(ones, f) + xlogy(flags.size - ones, 1 - f)) / np.log(2)
-        parts[name] = stream_header(sections[name], 4), flags.size, entropy_bits(flags), coded
+    signs = np.where(model.anchors.mask, 1.0, -1.0)
+    for name, grids in (("masks", [signs]), ("hash_grid", model.grids)):
+        size, ones = sum(grid.size for grid in grids), sum((grid > 0).sum() for grid in grids)
+        f = int.from_bytes(sections[name][:4], "little") / 2**24
+        coded = -(xlogy(ones, f) + xlogy(size - ones, 1 - f)) / np.log(2)
+        parts[name] = stream_header(sections[name], 4), size, entropy_bits(grids), coded
     for name, columns in attribute_columns(model.design):
-        kept = q.kept[:, columns]
-        estimate, coded = (bits[:, columns][kept].sum() for bits in (floats, integers))
-        parts[name] = stream_header(sections[name], 0), int(kept.sum()), estimate, coded
+        symbols = int(np.count_nonzero(q.kept[:, columns]))
+        parts[name] = stream_header(sections[name], 0), symbols, *totals[name].tolist()
     for name, members in NETWORK_SECTIONS.items():
         layers = [model.networks.get(member, ()) for member in members]
         parts[name] = 0, sum(a.size for pair in layers for arrays in pair for a in arrays)
@@ -97,12 +128,15 @@ def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
     }
 
 
-def symbol_bits(q):
-    """Return the bits [A, n] of symbols under the integer frequencies, 0 if none is coded."""
-    bits = np.zeros(q.kept.shape)
-    bits[q.kept] = ideal_bits_gaussian(
-        q.symbols[q.kept], q.context.mu_units[q.kept], q.context.sigma_units[q.kept]
-    )
+def symbol_bits(q, rows=slice(None)):
+    """Return the bits [rows, n] of the symbols of some anchors, or of all.
+
+    They are those of the integer frequencies, 0 where nothing is coded.
+    """
+    kept = q.kept[rows]
+    arrays = (q.symbols, q.context.mu_units, q.context.sigma_units)
+    bits = np.zeros(kept.shape)
+    bits[kept] = ideal_bits_gaussian(*(array[rows][kept] for array in arrays))
     return bits
 
 
@@ -112,7 +146,8 @@ def anchor_bits(data):
     q = quantised_of(sections)
     mask = q.model.anchors.mask
     position = 8 * (len(sections["positions"]) - BOX_BYTES) / len(mask)  # the mean of all anchors
-    return q.model, position + symbol_bits(q).sum(axis=1) + entropy_bits(mask) / len(mask)
+    masks = entropy_bits([np.where(mask, 1.0, -1.0)]) / len(mask)
+    return q.model, position + symbol_bits(q).sum(axis=1) + masks
 
 
 def components(data):

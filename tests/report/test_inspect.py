@@ -12,6 +12,7 @@ from p4dgs_ref.codec.container import SECTIONS, layout, read_container
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.codec.gaussian_table import lookup_table
 from p4dgs_ref.equations import grid_nodes
+from p4dgs_ref.report import inspect
 from p4dgs_ref.report.inspect import anchor_bits, ledger, symbol_bits
 from tests import processes
 from tests.codec.models import MAKE
@@ -95,3 +96,14 @@ def test_a_page_of_docstrings_needs_docstrings():
     printed = processes.run("-OO", "-m", "p4dgs_ref.codec")
     assert (printed.returncode, printed.stdout) == (2, "")
     assert printed.stderr == "the page consists of docstrings; expected Python without -OO\n"
+
+
+def test_blocks_of_anchors_have_the_bits_of_all_at_once(data, monkeypatch):
+    """A block holds as many anchors as memory allows: one, where hardly anything is allowed."""
+    q = quantised_of(read_container(data))
+    whole = inspect.attribute_bits(q)
+    assert len(inspect.blocks_of(q)) == 1
+    monkeypatch.setattr(inspect, "BLOCK", -2 * sum(grid.size for grid in q.model.grids))
+    assert len(inspect.blocks_of(q)) == len(q.symbols) > 1
+    for name, bits in inspect.attribute_bits(q).items():
+        assert np.allclose(bits, whole[name], rtol=1e-12, atol=0), name
