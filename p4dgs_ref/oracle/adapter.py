@@ -14,7 +14,8 @@ its end is quoted when something goes wrong.
            or {"id": "offsets/ordinary", "error": "what went wrong"}
     checker   {"id": "codec/full", "stream": BASE64 of a file}
     port      {"id": "codec/full", "arrays": {"positions": ARRAY, ...}}
-           or {"id": "codec/full", "refused": "why"}, or skip or error as above
+           or {"id": "codec/full", "refused": "why"}, or skip or error as above; a decoder that
+              fails may add the "arrays" that it has so far
 
 `differentiable` lists the inputs whose gradients are expected in `in_bar`; others are ignored. A
 port may say in its first line what it lacks. With "gradients": false its outputs alone are
@@ -104,15 +105,17 @@ class Adapter(contextlib.AbstractContextManager):
         return got
 
     def decode(self, name, data):
-        """Return the arrays that the port finds in a file and None, or None and its refusal.
+        """Return the arrays that the port finds in a file, and why it refuses it, or None.
 
         Raises PortError as `run` does.
         """
         request = {"id": f"codec/{name}", "stream": base64.b64encode(data).decode()}
         answer = self._ask(request, "codec")
-        if answer.get("refused") is not None:
-            return None, shorten(str(answer["refused"]))
-        return unpacked(answer, "arrays"), None
+        refused = answer.get("refused")
+        if refused is not None:
+            refused = shorten(str(refused))
+        arrays = {} if refused and "arrays" not in answer else unpacked(answer, "arrays")
+        return arrays, refused
 
     def __exit__(self, *_):
         self.close()

@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
-from p4dgs_ref.oracle.adapter import Adapter
+from p4dgs_ref.oracle.adapter import Adapter, packed
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.sampling import few
 from tests.workshop import decoded
@@ -255,6 +255,16 @@ def test_a_decoder_that_fails_shows_what_it_has_so_far(folder):
     lines = str(checker.Report([result])).splitlines()
     at = lines.index("    because: refused a valid stream: features: final state")
     assert lines[at + 1].startswith("    h[0, 0]: got")
+
+
+@pytest.mark.parametrize("arrays", [{}, {"q": np.ones(2)}])
+def test_a_process_may_refuse_with_the_arrays_so_far(monkeypatch, arrays):
+    answer = {"refused": "final state"}
+    if arrays:
+        answer["arrays"] = {name: packed(a) for name, a in arrays.items()}
+    monkeypatch.setattr(Adapter, "_ask", lambda *_: answer)
+    got, refused = Adapter([sys.executable]).decode("full", b"")
+    assert refused == "final state" and got.keys() == arrays.keys()
 
 
 def test_a_refusal_of_an_unknown_stream_is_named_in_a_line(folder):
