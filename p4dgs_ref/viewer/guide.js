@@ -106,7 +106,17 @@
     if (n >= 0) state.pixel = [0, 1].map((i) => splats.mean2d[2 * n + i] + 0.5);
   }
 
-  const go = (by) => enter(STEPS[STEPS.indexOf(step) + by] ?? step);
+  /** Goes to a step as the visitor asks. The files of other lambda stay in their step. */
+  function visit(to) {
+    const isOther = page.rates.includes(page.chosen()) && $("scene").selectedIndex > 0;
+    const isLeft = step === "lambda" && to !== step;
+    enter(to);
+    if (!isOther || !isLeft) return;
+    $("scene").selectedIndex = 0;
+    page.openChosen();
+  }
+
+  const go = (by) => visit(STEPS[STEPS.indexOf(step) + by] ?? step);
 
   // --- the link ---------------------------------------------------------------------------------
   /** The address of what is seen. Behind # it has `step` (a name, or explore), `file` (its number
@@ -180,11 +190,11 @@
 
   for (const dot of all("#steps [value]")) {
     dot.hidden = !articles.has(dot.value);
-    dot.addEventListener("click", () => enter(dot.value));
+    dot.addEventListener("click", () => visit(dot.value));
   }
   const calls = { previous: () => go(-1), next: () => go(1), copy };
-  calls["to-guide"] = () => enter(last);
-  calls["to-explore"] = () => enter(EXPLORE);
+  calls["to-guide"] = () => visit(last);
+  calls["to-explore"] = () => visit(EXPLORE);
   for (const [id, call] of Object.entries(calls)) $(id).addEventListener("click", call);
   $("coarser").addEventListener("pointerdown", () => clearInterval(coarsening));
   document.addEventListener("keydown", keys);

@@ -666,6 +666,7 @@
       moved = down.size > 1 ? Infinity : 0;
     });
     stage.addEventListener("pointermove", (event) => {
+      if (!event.buttons) down.delete(event.pointerId); // a menu can swallow the release
       const from = down.get(event.pointerId);
       if (!from || !state.model) return;
       const was = down.size === 2 ? apart() : 0;
@@ -711,7 +712,13 @@
     });
     on("play", "click", () => play(!state.playing));
     on("home", "click", home);
-    on("time", "input", () => setTime(time()));
+    for (const name of ["pointerdown", "input"]) {
+      on("time", name, () => {
+        const t = time(); // `play` lets time go on from there
+        if (state.playing) play(false);
+        setTime(t);
+      });
+    }
     on("full", "click", fullScreen);
     document.addEventListener("fullscreenchange", () => {
       const isLeft = !document.fullscreenElement && $("view").classList.contains("full");

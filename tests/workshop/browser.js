@@ -163,6 +163,8 @@ async function walk(browser, size, theme) {
     } else {
       check(`${said}: the picture is ${found.side} pixels wide`, found.side >= 0.4 * size[1]);
       check(`${said}: the sentence ends at ${found.sentence}`, found.sentence <= size[1]);
+      const places = `the slider ends at ${found.slider}, the text begins at ${found.article}`;
+      check(`${said}: ${places}`, found.slider <= found.article);
     }
     if (!isQuick) await steady(browser, `${name}_${i + 1}_${step}.png`, size);
     await press(browser, "ArrowRight");
@@ -203,6 +205,8 @@ function look(panels) {
     side: byId("stage").clientWidth,
     paper: byId("about").getBoundingClientRect().bottom,
     sentence: firstSentence(articles.find(isShown)),
+    slider: byId("time").getBoundingClientRect().bottom,
+    article: articles.find(isShown).getBoundingClientRect().top,
     text: document.body.innerText,
   };
 }
@@ -231,6 +235,12 @@ async function lambdas(browser) {
   check(`"${said}"`, right.test(said));
   const sizes = await evaluate("page.rates.map(({ data }) => data.length)");
   check(`bytes ${sizes}`, sizes.every((size, i) => i === 0 || size < sizes[i - 1]));
+  await evaluate("$('previous').click()");
+  const demo = "page.state.name === 'demo.p4dgs' && document.body.dataset.step === 'break'";
+  await until(browser, demo, "another step shows the file of another lambda");
+  await evaluate("document.querySelector('#steps [value=scene]').click()");
+  const bytes = await evaluate("document.querySelector('[data-fact=bytes]').textContent");
+  check(`step 1 says ${bytes} bytes`, bytes === (await evaluate("page.whole(page.state.data.length)")));
   const one = join(ROOT, "p4dgs_ref", "oracle", "streams_v1", "one_anchor.p4dgs");
   const data = base64(readFileSync(one));
   await show(browser, `${ours("demo.html")}#step=context`);
@@ -346,11 +356,28 @@ async function hands(browser) {
   await evaluate("$('time').focus()");
   await press(browser, "ArrowRight", { windowsVirtualKeyCode: 39 });
   check("an arrow key on the time", (await step()) === "scene");
+  const mouse = (type, x, y, more) => send("Input.dispatchMouseEvent", { type, x, y, ...more });
+  await evaluate("page.play(true)");
+  const slider = await evaluate("$('time').getBoundingClientRect().toJSON()");
+  const [x, y] = [slider.x + slider.width / 4, slider.y + slider.height / 2];
+  await mouse("mousePressed", x, y, { button: "left", clickCount: 1 });
+  await mouse("mouseReleased", x, y, { button: "left", clickCount: 1 });
+  const chosen = await evaluate("$('time').value");
+  await wait(1000);
+  const later = await evaluate("$('time').value");
+  check(`the time ${chosen} becomes ${later}`, later === chosen && Math.abs(chosen - 0.25) < 0.05);
+  check("the picture plays on", !(await evaluate("page.state.playing")));
+  await mouse("mousePressed", 300, 300, { button: "right", clickCount: 1 }); // for a menu
+  const was = await evaluate("page.state.azimuth");
+  await mouse("mouseMoved", 400, 330, { button: "none", buttons: 0 });
+  const isHeld = (await evaluate("page.state.azimuth")) !== was;
+  check("a button that nobody holds turns the scene", !isHeld);
+  await mouse("mouseReleased", 400, 330, { button: "right", clickCount: 1 });
   const drag = async (modifiers) => {
-    const mouse = { button: "left", modifiers, clickCount: 1 };
-    await send("Input.dispatchMouseEvent", { type: "mousePressed", x: 300, y: 300, ...mouse });
-    await send("Input.dispatchMouseEvent", { type: "mouseMoved", x: 360, y: 320, ...mouse });
-    await send("Input.dispatchMouseEvent", { type: "mouseReleased", x: 360, y: 320, ...mouse });
+    const left = { button: "left", modifiers, clickCount: 1 };
+    await mouse("mousePressed", 300, 300, left);
+    await mouse("mouseMoved", 360, 320, { ...left, buttons: 1 });
+    await mouse("mouseReleased", 360, 320, left);
     return evaluate("({ shift: Math.hypot(...page.state.shift), azimuth: page.state.azimuth })");
   };
   const moved = await drag(8);
