@@ -108,10 +108,9 @@
 
   /** Goes to a step as the visitor asks. The files of other lambda stay in their step. */
   function visit(to) {
-    const isOther = page.rates.includes(page.chosen()) && $("scene").selectedIndex > 0;
-    const isLeft = step === "lambda" && to !== step;
+    const isLeft = step === "lambda" && to !== step && !page.chosen().isOwn;
     enter(to);
-    if (!isOther || !isLeft) return;
+    if (!isLeft || !$("scene").selectedIndex) return;
     $("scene").selectedIndex = 0;
     page.openChosen();
   }
@@ -175,9 +174,7 @@
     const isCamera = [azimuth, elevation, ...far].every(Number.isFinite) && shift.length === 3;
     if (isCamera) page.aim({ azimuth, elevation, distance, shift });
     const [t] = numbers("t");
-    if (!(t >= 0 && t <= 1)) return;
-    page.play(false);
-    page.setTime(t);
+    if (t >= 0 && t <= 1) page.setTime(t);
   }
 
   // --- controls ---------------------------------------------------------------------------------

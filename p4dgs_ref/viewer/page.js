@@ -636,7 +636,7 @@
 
   function setTime(t) {
     $("time").value = String(t);
-    state.phase = time();
+    play(false);
     moving();
   }
 
@@ -666,8 +666,7 @@
       moved = down.size > 1 ? Infinity : 0;
     });
     stage.addEventListener("pointermove", (event) => {
-      if (!event.buttons) down.delete(event.pointerId); // a menu can swallow the release
-      const from = down.get(event.pointerId);
+      const from = event.buttons && down.get(event.pointerId); // a menu can swallow the release
       if (!from || !state.model) return;
       const was = down.size === 2 ? apart() : 0;
       const [x, y] = [event.clientX, event.clientY];
@@ -712,17 +711,11 @@
     });
     on("play", "click", () => play(!state.playing));
     on("home", "click", home);
-    for (const name of ["pointerdown", "input"]) {
-      on("time", name, () => {
-        const t = time(); // `play` lets time go on from there
-        if (state.playing) play(false);
-        setTime(t);
-      });
-    }
+    on("time", "pointerdown", () => play(false));
+    on("time", "input", () => setTime(time()));
     on("full", "click", fullScreen);
     document.addEventListener("fullscreenchange", () => {
-      const isLeft = !document.fullscreenElement && $("view").classList.contains("full");
-      if (isLeft) fullScreen();
+      if (!document.fullscreenElement && $("view").classList.contains("full")) fullScreen();
     });
     on("scene", "change", openChosen);
     on("rate", "input", () => {
@@ -737,8 +730,7 @@
     on("number", "change", ownNumber);
     for (const name of BELL) on(`bell-${name}`, "input", drawBell);
     on("bell-own", "click", ownNumber);
-    const drawn = ["shown", "layers", "level", "size", "canvas-path"];
-    for (const id of drawn) on(id, "change", ask);
+    for (const id of ["shown", "layers", "level", "size", "canvas-path"]) on(id, "change", ask);
     const changeSoon = later(change, 30);
     for (const id of ["coarser", ...BROKEN]) on(id, "input", changeSoon);
     on("reset", "click", undo);
