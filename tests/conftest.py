@@ -45,6 +45,10 @@ def pytest_unconfigure(config):
 
 @pytest.hookimpl(trylast=True)  # after -m and -k have chosen
 def pytest_collection_modifyitems(config, items):
+    if not hasattr(os, "fork"):  # Windows
+        for item in items:
+            if mark := item.get_closest_marker("posix"):
+                item.add_marker(pytest.mark.skip(reason=f"Windows: {mark.args[0]}"))
     part, parts = map(int, config.getoption("--share").split("/"))
     if not 1 <= part <= parts:
         raise pytest.UsageError("--share: expected I/N with I from 1 to N")

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import resource
 import signal
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,7 +30,7 @@ def device(path):
 
 
 KINDS = {
-    "pipe": os.mkfifo,
+    "pipe": lambda path: os.mkfifo(path),
     "device": device,
     "folder": os.mkdir,
     "link to itself": lambda path: path.symlink_to(path.name),
@@ -49,6 +48,7 @@ def write_folder(path):
         (staging / path.name).write_bytes(b"new")
 
 
+@pytest.mark.posix("has no pipes and devices in folders")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("link", [False, True], ids=["itself", "through a link"])
 @pytest.mark.parametrize("write", [write_file, write_folder])
@@ -69,6 +69,7 @@ def test_only_a_regular_file_is_replaced(tmp_path, kind, link, write):
     assert sorted(tmp_path.rglob("*")) == names
 
 
+@pytest.mark.posix("replaces no file that is open")
 @pytest.mark.parametrize("write", [write_file, write_folder])
 @pytest.mark.parametrize("exists", [True, False])
 def test_a_link_is_written_through(tmp_path, write, exists):
@@ -152,7 +153,10 @@ def test_a_file_that_another_program_holds(tmp_path, monkeypatch, held_since):
     assert (tmp_path / "x").read_bytes() == b"old"
 
 
+@pytest.mark.posix("has no limit of descriptors")
 def test_without_descriptors_nothing_is_left_and_the_first_error_stays(tmp_path):
+    import resource
+
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         with pytest.raises(OSError) as caught, staged_folder(tmp_path / "out") as staging:
@@ -186,6 +190,7 @@ def refuse_locks(*arguments):
 LEARNS_NOTHING = pytest.mark.filterwarnings("ignore:scene bouncing")  # a training of few steps
 
 
+@pytest.mark.posix("locks files with msvcrt, not folders with fcntl")
 @LEARNS_NOTHING
 @pytest.mark.parametrize("without", ["fcntl", "locks"])
 def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
@@ -198,6 +203,7 @@ def test_without_locks_everything_is_written(tmp_path, monkeypatch, without):
     assert names == ["checkpoint.npz"]
 
 
+@pytest.mark.posix("a locked folder holds the locked file")
 @LEARNS_NOTHING
 def test_two_trainings_in_one_folder(tmp_path):
     short = dict(preset="smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))

@@ -25,8 +25,9 @@ class Parser(argparse.ArgumentParser):
 
 KEPT = """Version 1 keeps: format 1 of files, the golden vectors with their tolerances, the names of
 `import p4dgs_ref` and of its oracle, the adapter's protocol, commands, the options of the main ones
-and exit codes. With the same seed and versions it writes the same bytes. "What version 1.0
-promises" in tutorials/reference.md has the details."""
+and exit codes. On x86-64 Linux with AVX2, the same seed and versions give the same bytes; where the
+kernels are the processor's own, trained bytes may differ, but files decode to the same numbers.
+"What version 1.0 promises" in tutorials/reference.md has the details."""
 
 
 class Version(argparse.Action):

@@ -4,7 +4,6 @@ import gc
 import json
 import os
 import re
-import resource
 import shutil
 import signal
 import sys
@@ -298,6 +297,7 @@ LINES = [
 ]
 
 
+@pytest.mark.posix("has no devices in folders, and other words for errors")
 @pytest.mark.parametrize(
     "line, words", few(LINES, 40), ids=[line or "nothing" for line, _ in LINES]
 )
@@ -344,6 +344,7 @@ INTO_A_FOLDER = (
 )
 
 
+@pytest.mark.posix("a locked folder holds the locked file")
 def test_no_two_commands_write_into_one_folder(place, refused):
     shutil.copy(ROOT / "tiny_scenes/static/scene.json", place)
     Path("taken").mkdir()
@@ -474,7 +475,7 @@ def link_to_a_pipe(path):
 
 
 ODD = {
-    "pipe": os.mkfifo,
+    "pipe": lambda path: os.mkfifo(path),
     "folder": os.mkdir,
     "link": link_to_a_pipe,
 }
@@ -486,6 +487,7 @@ WRITING = {
 }
 
 
+@pytest.mark.posix("has no pipes in folders")
 @pytest.mark.parametrize("kind", few(ODD, 1))
 def test_outputs_that_are_no_files(place, run, kind):
     """Something else in the place of a file that would be written stays as it is."""
@@ -519,8 +521,11 @@ FULL = {
 }
 
 
+@pytest.mark.posix("has no limit of a file's size")
 @pytest.mark.parametrize("line", few(FULL, 2))
 def test_a_full_disk_names_the_file(original, run, monkeypatch, line):
+    import resource
+
     monkeypatch.chdir(original)
     ignored = []  # what files say that are dropped before they are closed
     monkeypatch.setattr(sys, "unraisablehook", ignored.append)

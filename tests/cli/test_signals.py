@@ -12,7 +12,7 @@ from tests import ROOT
 from tests.processes import start
 from tests.sampling import few
 
-NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "HUP": signal.SIGHUP}
+NUMBERS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM, "HUP": getattr(signal, "SIGHUP", None)}
 # Before the import of a module, say so and wait, as a slow disk would.
 SLOW = """
 import sys, time
@@ -41,6 +41,7 @@ WAYS = {"console script": CONSOLE_SCRIPT, "python -m": MODULE}
 MODULES = ("argparse", "numpy", "scipy", "p4dgs_ref.scenes.load")
 
 
+@pytest.mark.posix("sends no signals to other processes")
 @pytest.mark.parametrize("name, way, module", few(itertools.product(NUMBERS, WAYS, MODULES), 1, 8))
 def test_during_an_import(tmp_path, name, way, module):
     argv = ["train", "bouncing", "-o", "run", "--preset", "smoke", "--quiet"]

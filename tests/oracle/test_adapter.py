@@ -166,6 +166,7 @@ DEATHS = {
 }
 
 
+@pytest.mark.posix("ends processes by other means than signals")
 @pytest.mark.parametrize("twist", few(DEATHS, 1))
 def test_a_death_costs_one_case(port, twist):
     ask = port(f"if n == 3: {twist}", timeout=3.0)
@@ -342,6 +343,7 @@ def test_backslashes_of_a_command(monkeypatch, sep, text, words):
     assert adapter_module.words_of(text) == words
 
 
+@pytest.mark.posix("has no groups of processes")
 def test_a_process_that_leaves_the_group_and_holds_the_pipes_costs_little(port, tmp_path, capfd):
     twist = (
         "if n: child = subprocess.Popen(['sleep', '60'], start_new_session=True); "
@@ -354,6 +356,7 @@ def test_a_process_that_leaves_the_group_and_holds_the_pipes_costs_little(port, 
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.posix("has no groups of processes")
 def test_nothing_that_a_port_started_outlives_it(port, tmp_path):
     ask = port(start=SLEEPER.format(str(tmp_path / "started")))
     assert verdicts(ask, 1) == ["ok"]
@@ -362,6 +365,7 @@ def test_nothing_that_a_port_started_outlives_it(port, tmp_path):
     wait_until_gone(port.pids())
 
 
+@pytest.mark.posix("has no groups of processes")
 def test_stopping_the_checker_stops_the_port(port, tmp_path):
     """Ctrl-C while the port and a process that it started are at work."""
     port(f"if n: {SLEEPER.format(str(port.log))}; time.sleep(60)")

@@ -361,6 +361,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.posix("has no pipes in folders")
 @pytest.mark.parametrize("change, words", [pytest.param(*row[1:], id=row[0]) for row in MISTAKES])
 def test_mistakes_in_a_transforms_file(folder, change, words):
     shutil.copy(folder / "train" / "r_000.png", folder.parent / "secret.png")
@@ -388,11 +389,12 @@ def make_large(path):
     os.truncate(os.open(path, os.O_CREAT | os.O_RDWR), 3 << 30)
 
 
+@pytest.mark.posix("has no pipes in folders")
 @pytest.mark.parametrize("name", ["transforms_train.json", "transforms_test.json", "scene.json"])
 @pytest.mark.parametrize(
     "make, words",
     [
-        (os.mkfifo, "directory, a device"),
+        (lambda path: os.mkfifo(path), "directory, a device"),
         (os.mkdir, "directory, a device"),
         (make_large, "larger than"),
     ],

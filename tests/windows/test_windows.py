@@ -96,6 +96,7 @@ def refused(done):
     return line
 
 
+@pytest.mark.posix("is simulated on Linux alone")
 @pytest.mark.parametrize(
     "line", [*SHORT, *(pytest.param(line, marks=pytest.mark.slow) for line in SLOW)]
 )

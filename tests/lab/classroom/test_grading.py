@@ -266,13 +266,17 @@ def test_all_answers_of_a_student_share_a_minute(monkeypatch):
     assert waited[-1] == 60  # to start takes none of it
 
 
+@pytest.mark.posix("has no pipes and devices in folders")
 @pytest.mark.parametrize(
     "text, reason",
     [
         ("def forward(:\n", "offsets.py: SyntaxError"),
         (b"\xff", "offsets.py: SyntaxError: invalid or missing encoding declaration"),
         (None, "offsets.py: FileNotFoundError"),
-        (os.mkfifo, "offsets.py: StudyError: expected a regular file of at most 200,000 bytes"),
+        (
+            lambda file: os.mkfifo(file),
+            "offsets.py: StudyError: expected a regular file of at most 200,000 bytes",
+        ),
         (
             lambda file: file.symlink_to("/dev/zero"),
             "offsets.py: StudyError: expected a regular file",
