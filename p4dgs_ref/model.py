@@ -113,6 +113,30 @@ def over_limits(design, anchors):
     return ""
 
 
+def most_numbers(size):
+    """Return how many numbers a file may declare whose sections have `size` bytes together."""
+    return 2**22 + 2**4 * size
+
+
+def over_file(design, anchors):
+    """Return why no file can hold a model with so many anchors, in words, or "".
+
+    A grid that is much larger than what its anchors read costs next to no bytes, so that decoders
+    refuse it. Attributes count as 8 bytes here, weights as 2, and a sign of the grid as 4, which is
+    more than an encoder needs; only the signs that an anchor reads can change.
+    """
+    parts = declared_numbers(design, anchors)
+    nodes = sum(2 ** len(axes) for axes, _ in design.grid)
+    signs = min(parts["grid"], anchors * nodes * design.F)
+    most = most_numbers(8 * parts["anchors"] + 2 * parts["networks"] + 4 * signs)
+    count = sum(parts.values())
+    excess = over_limits(design, anchors)
+    if not excess and count > most:
+        excess = f"expected at most {most} numbers with {anchors} anchors, or a smaller grid"
+        return f"{excess}, got {count}"
+    return excess
+
+
 class Anchors(NamedTuple):
     """The attributes of A anchors, as linear values (Q5)."""
 

@@ -119,6 +119,8 @@ def read_container(data):
 
     Raises BitstreamError whose `section` is "container" or the section with a wrong checksum.
     """
+    message = f"expected the bytes of a file, got {type(data).__name__}"
+    expect(isinstance(data, (bytes, bytearray, memoryview)), "container", 0, message)
     rows, view = read_table(data, len(data)), memoryview(data)
     sections = {name: view[start : start + length] for name, start, length, _ in rows}
     for name, _, _, crc in rows:

@@ -54,7 +54,7 @@ from ..limits import (
     MAX_OF,
     MAX_WIDTH,
 )
-from ..model import CONTEXT_NETWORKS, Design, declared_numbers, over_limits
+from ..model import CONTEXT_NETWORKS, Design, declared_numbers, most_numbers, over_limits
 from ..scenes.scene import MODEL_EFFECTS
 from .container import expect
 
@@ -101,7 +101,7 @@ def read_header(data):
 
 def check_work(design, anchors, size):
     """Refuse a header that promises more work than `size` bytes of sections may cause."""
-    numbers, most = sum(declared_numbers(design, anchors).values()), 2**22 + 2**4 * size
+    numbers, most = sum(declared_numbers(design, anchors).values()), most_numbers(size)
     require_header(
         numbers <= most,
         f"{numbers} numbers declared, expected at most {most} in sections of {size} bytes",

@@ -61,7 +61,7 @@ def evaluate(
     no such views. Warns of a scene that lies over another background than the model, and of test
     views that are training views.
     """
-    views = getattr(scene, split)
+    views = {"train": scene.train, "test": scene.test}.get(split)
     if not views:
         raise ValueError(f"scene {scene.name}: split '{split}' has no views to evaluate on")
     if np.abs(model.background - scene.background).max() > 1 / 255:

@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass, replace
 
 from ..limits import MAX_ENTRIES, MAX_LAYERS, MAX_OF, MAX_WIDTH
-from ..model import over_limits
+from ..model import over_file
 from ..scenes.scene import MODEL_EFFECTS
 from .initial import design_of
 
@@ -297,7 +297,7 @@ def choose(preset, changes=None):
         )
     if changed.grow_from > changed.grow_until:
         raise ValueError(f"field 'grow_until': expected at least grow_from, {changed.grow_from}")
-    if excess := over_limits(design_of(changed, MODEL_EFFECTS), changed.anchors):
+    if excess := over_file(design_of(changed, MODEL_EFFECTS), changed.anchors):
         raise ValueError(f"fields 'anchors', 'grid_3d', 'hidden' and others: {excess}")
     return changed
 

@@ -400,8 +400,17 @@ def test_no_argument_may_be_empty_or_contain_nul(capsys):
 
 def test_no_test_views():
     scene = p4.Scene("only", p4.load_scene("bouncing", downscale=8).train[:1])
-    with pytest.raises(ValueError, match="only: split 'test'.*no views"):
-        p4.evaluate(None, scene)
+    for split in ("test", "val", "name"):
+        with pytest.raises(ValueError, match=f"only: split '{split}'.*no views"):
+            p4.evaluate(None, scene, split=split)
+
+
+def test_a_grid_that_no_file_of_its_anchors_can_hold_is_refused_before_training():
+    """The decoder's rule: a large grid of which few anchors change next to nothing is too cheap."""
+    large = dict(grid_3d=(256,), grid_2d=(), table_3d=2**24, F=1)
+    with pytest.raises(ValueError, match="grid_3d.*with 20 anchors, or a smaller grid"):
+        presets.choose("smoke", {**large, "anchors": 20})
+    presets.choose("smoke", {**large, "anchors": 2**18})
 
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):

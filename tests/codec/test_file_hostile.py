@@ -65,6 +65,11 @@ def test_a_scene_without_motion_may_not_have_the_section_for_it(sections):
         refused(forged, "deformation_mlp", "no effect that needs")
 
 
+@pytest.mark.parametrize("data", [np.zeros(99, np.uint8), "text", None, 3])
+def test_what_is_no_bytes_is_refused(data):
+    assert "expected the bytes of a file" in refusal(decode, data).message
+
+
 def test_other_counts_do_not_fit_the_sections(sections):
     anchors = json.loads(sections["header"])["anchors"]
     for name, value, where in (
