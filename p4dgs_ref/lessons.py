@@ -210,19 +210,12 @@ def check_number(exercise, mine, want=None, digits=6):
     mistakes = read_stored("mistakes").get(exercise, ())
     texts = [*read_stored("hints").get(exercise, ()), *(reason for _, reason in mistakes)]
     numbers = map(float, re.findall(r"\d+\.?\d*", " ".join(texts)))
-    rules = (
-        *(
-            (np.isclose(mine, wrong, near / 10, 0).all(), reason)
-            for wrong, reason in mistakes
-            if mine.shape == np.shape(wrong)
-        ),
-        (
-            np.isclose(mine, want, near, 0).all(),
-            f"nearly right, but {digits} right digits are expected",
-        ),
-        (True, difference(mine, want, example, numbers)),
-    )
-    return settle(exercise, next(message for holds, message in rules if holds))
+    for wrong, reason in mistakes:
+        if mine.shape == np.shape(wrong) and np.isclose(mine, wrong, near / 10, 0).all():
+            return settle(exercise, reason)
+    if np.isclose(mine, want, near, 0).all():
+        return settle(exercise, f"nearly right, but {digits} right digits are expected")
+    return settle(exercise, difference(mine, want, example, numbers))
 
 
 def exercise_cases(key):
@@ -385,28 +378,26 @@ def difference(mine, right, example="", excluded=()):
     is_unit = factor > 0 and not np.isclose([factor, 1 / factor], numbers, near, 0).any()
     unit = "".join(f" ({unit}?)" for _, unit in telling if unit and is_unit)
     some = f"{wrong.sum()} of {right.size} numbers"
-    rules = (
-        *((True, f"{place or 'it'} is {mine[tuple(place)]}") for place in not_finite),
-        (not wrong.any(), "too few right digits"),
-        (np.isclose(mine, right, near, 0).all(), "nearly right"),
-        (right.size == 1 and telling, f"it is {factor:.3g} times the right number{unit}"),
-        (
-            right.size == 1 and np.isfinite(factor),
-            f"it is wrong: its sign is {'right' if factor > 0 else 'wrong'}, its magnitude too "
-            f"{'large' if abs(factor) > 1 else 'small'}",
-        ),
-        (right.size == 1, "it is wrong"),
-        (
-            np.isclose(mine, factor * right, rounding, 0).all(),
-            f"all {right.size} numbers are {factor:.6g} times the right ones{unit}",
-        ),
-        (
-            np.isclose(np.abs(mine), np.abs(right), rounding, 0).all(),
-            f"{some} have the wrong sign",
-        ),
-        (True, f"{some} are wrong{example}"),
-    )
-    return next(message for holds, message in rules if holds)
+    if not_finite:
+        (place,) = not_finite
+        return f"{place or 'it'} is {mine[tuple(place)]}"
+    if not wrong.any():
+        return "too few right digits"
+    if np.isclose(mine, right, near, 0).all():
+        return "nearly right"
+    if right.size == 1 and telling:
+        return f"it is {factor:.3g} times the right number{unit}"
+    if right.size == 1 and np.isfinite(factor):
+        sign = "right" if factor > 0 else "wrong"
+        size = "large" if abs(factor) > 1 else "small"
+        return f"it is wrong: its sign is {sign}, its magnitude too {size}"
+    if right.size == 1:
+        return "it is wrong"
+    if np.isclose(mine, factor * right, rounding, 0).all():
+        return f"all {right.size} numbers are {factor:.6g} times the right ones{unit}"
+    if np.isclose(np.abs(mine), np.abs(right), rounding, 0).all():
+        return f"{some} have the wrong sign"
+    return f"{some} are wrong{example}"
 
 
 def is_whole(right):

@@ -57,11 +57,12 @@ class Diagnosis(NamedTuple):
     certain: bool = True  # whether all wrong answers are explained; otherwise it is a hint
 
     def __str__(self):
-        id = self.mistake.id
-        text = self.mistake.description + f" [{id}]" * bool(id)
+        text = self.mistake.description
+        if self.mistake.id:
+            text += f" [{self.mistake.id}]"
         if self.certain:
-            return text + f" (explains the {self.part} alone)" * bool(self.part)
-        part = f"the {self.part} of " * bool(self.part)
+            return f"{text} (explains the {self.part} alone)" if self.part else text
+        part = f"the {self.part} of " if self.part else ""
         return f"{text} (agrees with {part}{len(self.cases)} of {self.failed} failing cases)"
 
 

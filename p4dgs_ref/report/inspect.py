@@ -73,7 +73,10 @@ def attribute_bits(q):
 
 def stream_header(body, before):
     """Return how many bytes of a section precede the coder's state: `before`, lane byte, tail."""
-    return before + 1 + 4 * (body[before] & 15 > 0) if len(body) > before else len(body)
+    if len(body) <= before:
+        return len(body)
+    has_tail = body[before] & 15
+    return before + 1 + (4 if has_tail else 0)
 
 
 def ledger(data):

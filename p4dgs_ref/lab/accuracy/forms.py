@@ -123,4 +123,5 @@ def noise_draws():
     def loss(bits):
         return 100 * norm(bits - truth) / truth.sum()
 
-    return {f"{n} draw{'s' * (n > 1)}": (partial(run, n), loss) for n in (64, 8, 1)}
+    choices = {"64 draws": 64, "8 draws": 8, "1 draw": 1}
+    return {name: (partial(run, draws), loss) for name, draws in choices.items()}
