@@ -94,9 +94,8 @@ def grade(arguments):
     """Judge what students wrote."""
     from ..lab import classroom as room
 
-    folders = []
-    for name in arguments.folders:  # shells of Windows leave hand_in/* as it is
-        folders += [name] if os.path.exists(name) else sorted(glob(name)) or [name]
+    # Shells of Windows leave hand_in/* as it is.
+    folders = [found for name in arguments.folders for found in sorted(glob(name)) or [name]]
     with staged_folder(arguments.output) if arguments.output else nullcontext() as staging:
         grades = room.grade(
             *folders,

@@ -285,12 +285,10 @@ class Child:
 
 def words_of(command):
     """Return the words of a command, as a shell would find them; none if a quote has no end."""
-    words = shlex.shlex(command, posix=True, punctuation_chars="")
-    words.whitespace_split, words.commenters = True, ""
-    if os.sep in words.escape:  # Windows: a backslash belongs to a path
-        words.escape = ""
+    if os.sep == "\\":  # Windows: a backslash belongs to a path
+        command = command.replace("\\", r"\\")
     try:
-        return [*words]
+        return shlex.split(command)
     except ValueError:
         return []
 

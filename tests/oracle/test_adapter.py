@@ -335,7 +335,7 @@ def test_a_command_that_is_none(command):
     "sep, text, words",
     [
         ("/", r"my\ port 'a b'", ["my port", "a b"]),
-        ("\\", r"C:\env\python.exe 'a b\c'", [r"C:\env\python.exe", r"a b\c"]),
+        ("\\", r'C:\env\python.exe "a b\c"', [r"C:\env\python.exe", r"a b\c"]),
     ],
 )
 def test_backslashes_of_a_command(monkeypatch, sep, text, words):

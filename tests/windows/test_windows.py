@@ -1,6 +1,5 @@
 """What is known to differ on Windows, simulated: see lacking/sitecustomize.py."""
 
-import ctypes
 import json
 import os
 import shlex
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref import arithmetic
 from p4dgs_ref.cli.parser import GROUPS
 from p4dgs_ref.lab import classroom
 from p4dgs_ref.oracle import published
@@ -143,16 +141,6 @@ def test_refusals_are_one_line(made, tmp_path, line, words):
     with open(tmp_path / "run" / ".p4dgs-lock", "wb") as lock:
         fcntl.lockf(lock, fcntl.LOCK_EX)
         assert words in refused(run(line, tmp_path))
-
-
-def test_the_allocator_of_linux_is_asked_for_by_name(monkeypatch):
-    def load(name):
-        if name is None:
-            raise TypeError("argument of type 'NoneType' is not iterable")
-        raise OSError(f"no library {name}")
-
-    monkeypatch.setattr(ctypes, "CDLL", load)
-    arithmetic.keep_pages()
 
 
 def with_line_ends_of_windows(file):
