@@ -42,23 +42,6 @@ def test_rooms_import_only_rooms_before_them():
         )
 
 
-def test_imports_are_seen_wherever_they_stand(tmp_path):
-    """Inside functions, of packages, through one dot and two."""
-    file = tmp_path / "p4dgs_ref" / "codec" / "new.py"
-    file.parent.mkdir(parents=True)
-    lines = [
-        "from .. import training",
-        "from ..model import split",
-        "from . import rans",
-        "import p4dgs_ref.cli.parser",
-        "def late():\n    from ..report.figures import pyplot\n    import torch.nn",
-    ]
-    file.write_text("\n".join(lines), encoding="utf-8")
-    package = tmp_path / "p4dgs_ref"
-    assert imported_rooms(file, package) == {"training", "model", "cli", "report"}
-    assert "torch.nn" in {*imported(file, package)}
-
-
 def test_only_the_named_packages_are_imported_and_never_the_tutorials():
     own = {"pytest", "p4dgs_ref", "tests", "tutorials"}
     for file in (file for room in ("p4dgs_ref", "tests", "tutorials") for file in files(room)):

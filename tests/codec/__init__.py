@@ -1,3 +1,0 @@
-import p4dgs_ref
-
-p4dgs_ref.prepare()  # before NumPy loads, for `python -m tests.codec.fuzz`

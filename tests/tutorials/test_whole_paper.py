@@ -265,8 +265,3 @@ def test_it_needs_nothing_of_the_package():
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     roots = {name.split(".")[0] for name in names}
     assert roots - set(sys.stdlib_module_names) == {"numpy", "scipy", "matplotlib"}
-
-
-def test_something_has_been_learned_within_250_lines():
-    start = "\n".join(SOURCE.splitlines()[:250])
-    assert "fit(" in start and "learn one picture" in start.rpartition("fit(")[2]
