@@ -59,8 +59,8 @@ figures.show(figure, "11_without_rate")
 # $$R_{\rm hash} = N_+(-\log_2(p_+)) + N_-(-\log_2(p_-)) \tag{14}$$
 # $$\mathcal{L}_{\rm rate} = R_{\rm anchor} + R_{\rm hash} \tag{17}$$
 # Training minimises the loss of the pictures, $\mathcal{L}_{\rm render}$, plus this rate times a
-# weight, $\lambda_{\rm rate}$: the price of a bit, in units of the loss. This sum is Eq. (15), with
-# which `12_losses` begins.
+# weight, $\lambda_{\rm rate}$: the price of a bit, in units of the loss. This sum is Eq. (15), which
+# `12_rate_distortion` is about.
 
 # %% [markdown]
 # ## By hand

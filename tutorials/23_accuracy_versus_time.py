@@ -415,7 +415,7 @@ assert loss < 0.01 < loss_of_kernel
 # sixteenth of a step. The price of all symbols changes by less than one bit, and nobody would
 # draw a diagram for that. But a decoder that reads with the moved mean loses the rest of the
 # stream. The only useful accuracy is equality here, and this is why the tables are computed in
-# integers (`21_desync`).
+# integers (`22_desync`).
 
 # %%
 from p4dgs_ref.codec import streams

@@ -3,8 +3,8 @@
 #
 # **Promise.** After this you can see in a formula where it will fail in floating-point arithmetic,
 # and you know six such places and their remedies. **Before it:** `10_prior_and_likelihood`,
-# `12_losses`, `15_compositing`. **Takes** four seconds on two cores, 25 minutes of reading and 25
-# of exercises.
+# `15_compositing`, `16_render_loss`. **Takes** four seconds on two cores, 25 minutes of reading and
+# 25 of exercises.
 #
 # **Files:** [__init__.py](../p4dgs_ref/lab/stability/__init__.py) of `stability`,
 # [numerics.py](../p4dgs_ref/equations/numerics.py).
@@ -396,11 +396,11 @@ assert "ordinary" in verdicts["pass"]
 
 # %% [markdown]
 # ## What a codec does with it
-# A wrong loss disturbs a training; one wrong bound of an interval (`20_intervals_to_rans`) can
+# A wrong loss disturbs a training; one wrong bound of an interval (`21_intervals_to_rans`) can
 # destroy everything that is decoded after it. Move the predicted mean and deviation of 6000
 # symbols to the next `float32`. Some bounds of 16 bits then move too, so a decoder whose sums are
 # rounded in another order reads other symbols. The codec of this project therefore computes its
-# tables from integers, which do not depend on the order of a sum (`21_desync`).
+# tables from integers, which do not depend on the order of a sum (`22_desync`).
 
 # %%
 rng = np.random.default_rng(24)

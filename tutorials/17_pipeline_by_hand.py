@@ -20,7 +20,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
-architecture.show("16_pipeline_by_hand")
+architecture.show("17_pipeline_by_hand")
 
 
 def say(name, values):
@@ -506,7 +506,7 @@ figures.finish(
     xlim=(-0.5, 3.5),
     ylim=(0, 0.7),
 )
-figures.show(figure, "16_pipeline_by_hand")
+figures.show(figure, "17_pipeline_by_hand")
 
 # %% [markdown]
 # ## Backward by hand
@@ -621,15 +621,15 @@ print(f"the pixel before {np.round(pixel, 4)} and after {np.round(again, 4)}")
 
 # %% [markdown]
 # ## Exercises
-# **16.1** ● What is the colour of the pixel at $t = 0$, as three numbers? (At $t = 0.5$ it is
+# **17.1** ● What is the colour of the pixel at $t = 0$, as three numbers? (At $t = 0.5$ it is
 # `pixel`.)
 #
-# **16.2** ●● Write Eqs. (1) to (4) and the masking for arrays. If `effects` lacks `view_geometry`,
+# **17.2** ●● Write Eqs. (1) to (4) and the masking for arrays. If `effects` lacks `view_geometry`,
 # the networks $\psi_\alpha$, $\psi_r$ and $\psi_s$ read the features only. If it lacks
 # `view_color`, the same holds for $\psi_c$. To leave the view out, give a network two arrays of
 # shape `(A, 0)` in place of the outputs of Eq. (2).
 #
-# **16.3** ●●● Write the backward of all these equations together. You may use the modules of
+# **17.3** ●●● Write the backward of all these equations together. You may use the modules of
 # `p4dgs_ref.equations`, because the exercise is about how they are connected.
 #
 # **Predict, then run.** The anchor and the camera move together by $(1, 0, 0)$. Which of the
@@ -655,9 +655,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("16.1", answer_1)
-lessons.check_forward("16.2", my_forward, "spatial_prediction")
-lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
+lessons.check_number("17.1", answer_1)
+lessons.check_forward("17.2", my_forward, "spatial_prediction")
+lessons.check_backward("17.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
 
 # %% [markdown]
 # ## Check your port

@@ -8,18 +8,18 @@ from p4dgs_ref import lessons
 from p4dgs_ref.equations import ssim, window
 
 # %% [markdown]
-# **12.1** The loss is $10^{-3}\cdot 2.4 + 0.07$. Its cotangent goes to $\mathcal{L}_{render}$ with
+# **16.1** The loss is $10^{-3}\cdot 2.4 + 0.07$. Its cotangent goes to $\mathcal{L}_{render}$ with
 # the factor one, and to $\mathcal{L}_{rate}$ with the factor $\lambda_{rate}$.
 
 # %%
 case = lessons.golden("total_loss/ordinary")
 bar = case["out_bar.L_total"]
 names = ("out.L_total", "in_bar.L_render", "in_bar.L_rate")
-lessons.check_number("12.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names])
+lessons.check_number("16.1", [0.0724, bar, 1e-3 * bar], [case[name] for name in names])
 
 
 # %% [markdown]
-# **12.2** This is a weighted mean of two numbers. With `1 - ssim.forward(...)[0]` the answer to the
+# **16.2** This is a weighted mean of two numbers. With `1 - ssim.forward(...)[0]` the answer to the
 # case `H-P7.nearly_equal` is accepted, but with few digits: SSIM is almost one there, and
 # subtracting it from one loses them.
 
@@ -31,11 +31,11 @@ def my_forward(image, truth, lambda_ssim):
     return (1 - lambda_ssim) * L1 + lambda_ssim * D_SSIM, L1, D_SSIM
 
 
-lessons.check_forward("12.2", my_forward, "render_loss")
+lessons.check_forward("16.2", my_forward, "render_loss")
 
 
 # %% [markdown]
-# **12.3** Compute the moments, then the gradients of the moments, then apply the blur, which is its
+# **16.3** Compute the moments, then the gradients of the moments, then apply the blur, which is its
 # own transpose.
 
 
@@ -60,7 +60,7 @@ def my_backward(inputs, cotangents):
     return {"image": x_bar.transpose(0, 2, 1)}
 
 
-lessons.check_backward("12.3", my_backward, "ssim")
+lessons.check_backward("16.3", my_backward, "ssim")
 
 # %% [markdown]
 # **Predict, then run.** L1 is measured in brightness, so it is halved. SSIM compares quotients and

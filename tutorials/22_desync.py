@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you know why one wrong digit, the last one of a float, can destroy a
 # picture, and why integers prevent this. **Before it:** `10_prior_and_likelihood`,
-# `20_intervals_to_rans`. **Takes** two seconds on two cores, 25 minutes of reading and 35 of
+# `21_intervals_to_rans`. **Takes** two seconds on two cores, 25 minutes of reading and 35 of
 # exercises.
 #
 # **Files:** [context.py](../p4dgs_ref/codec/context.py),
@@ -23,7 +23,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures, shared
 
 plt = figures.pyplot()
-architecture.show("21_desync", "hash_grid", "prior", "entropy_coder")
+architecture.show("22_desync", "hash_grid", "prior", "entropy_coder")
 plt.rcParams["image.interpolation"] = "nearest"
 data = (shared.FOLDER / "demo.p4dgs").read_bytes()  # a trained model of 199 anchors
 
@@ -225,7 +225,7 @@ figures.finish(
     title="All symbols are right,\nthen nearly all are wrong",
 )
 figures.label(errors, (victim + 150, 450))
-figures.show(figure, "21_desync")
+figures.show(figure, "22_desync")
 
 # %% [markdown]
 # **Such differences occur by themselves.** Take the same `float32` network and add its products
@@ -371,13 +371,13 @@ assert abs(by_tables / by_floats - 1) < 0.001
 
 # %% [markdown]
 # ## Exercises
-# **21.1** ● Pop the state $1001$ from the table of "By hand". Which two states follow, with $9$ and
+# **22.1** ● Pop the state $1001$ from the table of "By hand". Which two states follow, with $9$ and
 # with $10$ slots for $A$?
 #
-# **21.2** ●● Write `my_network`. A layer has `W`, `b` and `s` and computes $y = xW + b$. A hidden
+# **22.2** ●● Write `my_network`. A layer has `W`, `b` and `s` and computes $y = xW + b$. A hidden
 # layer then returns $\max(0, \lfloor(y + \lfloor 2^s/2\rfloor)/2^s\rfloor)$.
 #
-# **21.3** ●● Write the computation of $\sigma$ in units. With
+# **22.3** ●● Write the computation of $\sigma$ in units. With
 # $l = \lfloor(94548\,raw + 2^{15})/2^{16}\rfloor$, where $94548$ stands for $2^{16}\log_2 e$, it
 # is $\lfloor(l - \log_2 D - (p - 39)\,2^{16} + 2^{11})/2^{12}\rfloor$, clipped to the range from
 # $-128$ to $319$. The stream `full` is the test.
@@ -423,9 +423,9 @@ with suppress(NotImplementedError):
     answer_2 = my_network(h, layers)
 with suppress(NotImplementedError):
     answer_3 = my_sigma_units(raw, log2_D, exponents)
-lessons.check_number("21.1", answer_1)
-lessons.check_number("21.2", answer_2, y, digits=15)
-lessons.check_number("21.3", answer_3, stored["sigma_units"], digits=15)
+lessons.check_number("22.1", answer_1)
+lessons.check_number("22.2", answer_2, y, digits=15)
+lessons.check_number("22.3", answer_3, stored["sigma_units"], digits=15)
 
 # %% [markdown]
 # ## Check your port
@@ -433,4 +433,4 @@ lessons.check_number("21.3", answer_3, stored["sigma_units"], digits=15)
 # bit for bit and in this order, so the first difference names the step that is wrong. Typical
 # mistakes of ports are products in `float32`, a division that rounds towards zero where a floor
 # is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`. The
-# last cell of `19_file_byte_by_byte` runs this check from Python.
+# last cell of `20_file_byte_by_byte` runs this check from Python.

@@ -12,15 +12,15 @@ sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes()
 model = quantised_of(sections).model
 
 # %% [markdown]
-# **20.1** The symbols $b$ and $c$ have the probability $\frac14$ and cost two bits each; $a$ has
+# **21.1** The symbols $b$ and $c$ have the probability $\frac14$ and cost two bits each; $a$ has
 # $\frac12$ and costs one bit. The final interval is $\frac1{128}$ wide.
 
 # %%
-lessons.check_number("20.1", 2 + 2 + 2 + 1, 7)
+lessons.check_number("21.1", 2 + 2 + 2 + 1, 7)
 
 
 # %% [markdown]
-# **20.2** Push from the last entry to the first. The test before a push determines whether $x$
+# **21.2** Push from the last entry to the first. The test before a push determines whether $x$
 # would reach $2^{63}$: $\lfloor x/f\rfloor 2^{24} < 2^{63}$ holds exactly if $x < f\,2^{39}$.
 
 
@@ -47,11 +47,11 @@ mask = model.anchors.mask.ravel()
 p_one = streams.probability_of_one(mask.sum(), mask.size)
 mask_keys = np.array([0, 2**24 - p_one, 2**24])
 mine = np.frombuffer(my_encode(mask.astype(int), mask_keys), np.uint8)
-lessons.check_number("20.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
+lessons.check_number("21.2", mine, np.frombuffer(sections["masks"][4:], np.uint8))
 
 
 # %% [markdown]
-# **20.3** The same steps in reverse. The message stores the words of the stack in the order in
+# **21.3** The same steps in reverse. The message stores the words of the stack in the order in
 # which the decoder needs them, so it reads them one after another.
 
 
@@ -79,7 +79,7 @@ grid = sections["hash_grid"]
 p_plus = int.from_bytes(grid[:4], "little")
 sign_keys = np.array([0, 2**24 - p_plus, 2**24])
 signs = np.concatenate([level.ravel() for level in model.grids]) > 0
-lessons.check_number("20.3", my_decode(grid[4:], len(signs), sign_keys), signs)
+lessons.check_number("21.3", my_decode(grid[4:], len(signs), sign_keys), signs)
 
 # %% [markdown]
 # **Predict, then run.** The wrong table gives both signs the probability one half, so each of them

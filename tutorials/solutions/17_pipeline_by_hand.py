@@ -11,7 +11,7 @@ from p4dgs_ref.scenes.scene import MODEL_EFFECTS
 from p4dgs_ref.splatting import render
 
 # %% [markdown]
-# **16.1** In the tutorial, evaluate `look([temporal(child, 0.0)[0] for child in canonical])[0]`.
+# **17.1** In the tutorial, evaluate `look([temporal(child, 0.0)[0] for child in canonical])[0]`.
 # At time 0 the children are not at their canonical positions, because $\psi_d$ has biases and
 # therefore moves them even then. The renderer returns the same colour for the same anchor.
 
@@ -58,10 +58,10 @@ anchor = Anchors(
 camera = Camera(np.eye(3), np.array([0.0, 0, 4]), 40.0, 40.0, 16.0, 12.0, 33, 25)
 g = predict(design, networks, anchor, camera.center, 0.0)[0]
 (image, *_), _ = render.forward(*g[:5], camera, np.ones(3), SETTINGS["exact"])
-lessons.check_number("16.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
+lessons.check_number("17.1", [0.6387020, 0.4141825, 0.3525295], image[12, 18])
 
 # %% [markdown]
-# **16.2** and **16.3** The forward pass follows the data, and the backward pass goes the opposite
+# **17.2** and **17.3** The forward pass follows the data, and the backward pass goes the opposite
 # way. Two sums are easy to forget: four networks read the features, and the position is used twice,
 # in Eq. (1) and in Eq. (2).
 
@@ -118,8 +118,8 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.check_forward("16.2", my_forward, "spatial_prediction")
-lessons.check_backward("16.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
+lessons.check_forward("17.2", my_forward, "spatial_prediction")
+lessons.check_backward("17.3", my_backward, "spatial_prediction", "x_a", "f_a", "s_a", "l_a", "O_a")
 
 # %% [markdown]
 # **Predict, then run.** Eqs. (2) to (4) depend on the anchor only relative to the camera, so all

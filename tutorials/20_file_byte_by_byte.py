@@ -24,7 +24,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
-architecture.show("19_file_byte_by_byte", "rounding", "entropy_coder", "file")
+architecture.show("20_file_byte_by_byte", "rounding", "entropy_coder", "file")
 
 # %% [markdown]
 # ## Claim
@@ -149,7 +149,7 @@ assert np.isfinite(weights).all()
 # and a message follows unless all bits are equal. Here the mask is a single bit of probability
 # one, so no message follows. The grid has 4 signs with $p_+ = \frac{3}{4}$. Its message is one
 # integer $x$. The number $x \bmod 2^{24}$ is called the *slot* and determines the sign: slots
-# below $2^{22}$ stand for $-1$. (`20_intervals_to_rans` explains why.)
+# below $2^{22}$ stand for $-1$. (`21_intervals_to_rans` explains why.)
 
 # %%
 p_mask = int.from_bytes(sections["masks"], "little")
@@ -238,7 +238,7 @@ figures.finish(
     title="Part, its length, and its first bytes",
 )
 figure.suptitle("A model in 980 bytes; entropy coding acts only on the thin stripe in the middle")
-figures.show(figure, "19_file_byte_by_byte")
+figures.show(figure, "20_file_byte_by_byte")
 
 # %% [markdown]
 # ## Backward by hand
@@ -317,7 +317,7 @@ figures.label(
     (-5.4, 4),
     fontsize=11,
 )
-figures.show(figure, "19_what_no_gradient_sees")
+figures.show(figure, "20_what_no_gradient_sees")
 
 # %% [markdown]
 # ## Break it
@@ -373,11 +373,11 @@ for row in inspect.ledger(golden):
 
 # %% [markdown]
 # ## Exercises
-# **19.1** ● How many bytes do the positions of $400$ anchors take?
+# **20.1** ● How many bytes do the positions of $400$ anchors take?
 #
-# **19.2** ●● Where is anchor $17$ of `golden`? Use `struct`.
+# **20.2** ●● Where is anchor $17$ of `golden`? Use `struct`.
 #
-# **19.3** ●●● Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It
+# **20.3** ●●● Write `my_container(data)`, which returns `{name: bytes}` or raises `ValueError`. It
 # is tried on all published streams, both valid and damaged: 23 must be read, and among
 # the damaged ones 14 have a bad frame and must be refused.
 #
@@ -421,9 +421,9 @@ def grade_container(mine):
 assert grade_container(container.read_container) == [23, 14]
 with suppress(NotImplementedError):
     answer_3 = grade_container(my_container)
-lessons.check_number("19.1", answer_1)
-lessons.check_number("19.2", answer_2, digits=15)
-lessons.check_number("19.3", answer_3, [23, 14])
+lessons.check_number("20.1", answer_1)
+lessons.check_number("20.2", answer_2, digits=15)
+lessons.check_number("20.3", answer_3, [23, 14])
 
 # %% [markdown]
 # ## Check your port

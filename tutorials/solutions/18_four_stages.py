@@ -15,16 +15,16 @@ from p4dgs_ref.training.initial import design_of
 from p4dgs_ref.training.trainer import LEARNING_RATES
 
 # %% [markdown]
-# **17.1** For real scenes the stages end after 3000, 4000, 10000 and 20000 iterations. Stage 3
+# **18.1** For real scenes the stages end after 3000, 4000, 10000 and 20000 iterations. Stage 3
 # therefore lasts 6000 of 20000 iterations, which is 30 percent.
 
 # %%
 ends = PRESETS["paper_real"].stage_ends
 assert ends == (3000, 4000, 10000, 20000)
-lessons.check_number("17.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
+lessons.check_number("18.1", 30, 100 * (ends[2] - ends[1]) / ends[3])
 
 # %% [markdown]
-# **17.2** The anchors and their four networks are trained from the start, $\psi_d$ from stage 3
+# **18.2** The anchors and their four networks are trained from the start, $\psi_d$ from stage 3
 # on, and everything that belongs to the context from stage 4 on. The noise is not a parameter, so
 # stage 2 moves the same arrays as stage 1. In the paper's presets x_a never moves.
 
@@ -37,10 +37,10 @@ late = {
 }
 first = [late.get(stem, 1) for stem in LEARNING_RATES]
 assert PRESETS["paper_real"].lr_x == (0, 0)
-lessons.check_number("17.2", first, 9 * [1] + [3, 4, 4, 4])
+lessons.check_number("18.2", first, 9 * [1] + [3, 4, 4, 4])
 
 # %% [markdown]
-# **17.3** `L_rate` is `bits` divided by a constant, so the two cotangents can be combined into
+# **18.3** `L_rate` is `bits` divided by a constant, so the two cotangents can be combined into
 # one factor. The offsets of a masked child cost nothing and receive no gradient. Each of the four
 # steps serves a whole group of columns, so its gradients are added up over these columns.
 
@@ -67,7 +67,7 @@ def my_backward(inputs, cotangents):
     }
 
 
-lessons.check_backward("17.3", my_backward, "rate_stage", "noisy", "q")
+lessons.check_backward("18.3", my_backward, "rate_stage", "noisy", "q")
 
 # %% [markdown]
 # **Predict, then run.** The picture sees the steps through the noise $u\,q$, so $\psi_q$ gets a

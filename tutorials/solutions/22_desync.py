@@ -12,18 +12,18 @@ from p4dgs_ref.equations import prior
 from p4dgs_ref.oracle import streams
 
 # %% [markdown]
-# **21.1** We have $1001 = 62\cdot 16 + 9$. With nine slots for $A$, slot $9$ is the first one of
+# **22.1** We have $1001 = 62\cdot 16 + 9$. With nine slots for $A$, slot $9$ is the first one of
 # $B$; with ten slots it still belongs to $A$. The next state is $62 f + 9 - c$ with the $f$ and
 # $c$ of the symbol that owns the slot.
 
 # %%
 nine = 62 * 7 + 9 - 9
 ten = 62 * 10 + 9 - 0
-lessons.check_number("21.1", [nine, ten], [434, 629])
+lessons.check_number("22.1", [nine, ten], [434, 629])
 
 
 # %% [markdown]
-# **21.2** A hidden layer divides by $2^s$, rounding half up by means of a floor, and sets
+# **22.2** A hidden layer divides by $2^s$, rounding half up by means of a floor, and sets
 # negative values to zero. The last layer returns its sums unchanged.
 
 
@@ -48,11 +48,11 @@ full = quantised_of(read_container(stream)).model
 layers = context.integer_layers(*full.networks["psi_p"])
 h = stored["h"].astype(float)
 y = context.run_network(h, layers)
-lessons.check_number("21.2", my_network(h, layers), y, digits=15)
+lessons.check_number("22.2", my_network(h, layers), y, digits=15)
 
 
 # %% [markdown]
-# **21.3** The constant $94548$ is $\log_2 e$ in units of $2^{-16}$. A shift to the right is a
+# **22.3** The constant $94548$ is $\log_2 e$ in units of $2^{-16}$. A shift to the right is a
 # floor, for negative numbers too.
 
 
@@ -75,7 +75,7 @@ D = mantissa * stored["q_units"]
 log2_D = np.repeat(context.log2(D), widths, axis=1)
 exponents = np.repeat(p.astype(int), widths)
 mine = my_sigma_units(raw, log2_D, exponents)
-lessons.check_number("21.3", mine, stored["sigma_units"], digits=15)
+lessons.check_number("22.3", mine, stored["sigma_units"], digits=15)
 
 # %% [markdown]
 # **Predict, then run.** float32 has 24 bits, so from $2^{24}$ on it skips odd integers. The sums

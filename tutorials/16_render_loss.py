@@ -22,7 +22,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures, show, tour
 
 plt = figures.pyplot()
-architecture.show("12_losses")
+architecture.show("16_render_loss")
 rng = np.random.default_rng(12)
 
 # %% [markdown]
@@ -42,7 +42,7 @@ for ax, title in zip(axes, titles):
     data = tour.DATA if title == "the demo" else tour.place_of(title).read_bytes()
     place = tour.CAMERA, tour.T, tour.TRUTH, tour.VIEW
     show.scored_picture(ax, decode(data), data, *place, title)
-figures.show(figure, "12_losses_prices")
+figures.show(figure, "16_render_loss_prices")
 
 # %% [markdown]
 # ## Claim
@@ -122,10 +122,10 @@ ax.set(
     title=r"$\lambda_{rate}$ chooses the point that a line of slope $-\lambda$ touches",
 )
 ax.legend()
-figures.show(figure, "12_losses_rate")
+figures.show(figure, "16_render_loss_rate")
 
 # %% [markdown]
-# The same in real bytes, from `27_rate_distortion`: four trainings of the demo's scene from one
+# The same in real bytes, from `12_rate_distortion`: four trainings of the demo's scene from one
 # common beginning, at four prices. Each point is a file that was written and decoded. The price
 # acts on the numbers of the anchors and on the signs of the grid, and on nothing else.
 #
@@ -265,7 +265,7 @@ figure.colorbar(
 )
 figures.show(
     figure,
-    "12_losses",
+    "16_render_loss",
     title=r"Three images with the same $\mathcal{L}_1$ of 0.02, very different for SSIM",
 )
 
@@ -390,7 +390,7 @@ from tutorials import gains
 rows = {"price 0.01": "p4dgs lambda_rate=0.01", "price 0.0005": "p4dgs"}
 low, high = (gains.mean(label, "psnr_db", "curve") for label in rows.values())
 assert 2.3 < high - low < 2.4
-gains.show("12_losses", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")}, "curve")
+gains.show("16_render_loss", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")}, "curve")
 
 # %% [markdown]
 # **In short**
@@ -410,15 +410,15 @@ gains.show("12_losses", rows, {"low rate": (0.506, ""), "high rate": (0.857, "")
 
 # %% [markdown]
 # ## Exercises
-# **12.1** ● For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, give three numbers:
+# **16.1** ● For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, give three numbers:
 # $\mathcal{L}_{total}$, $\bar{\mathcal{L}}_{render}$ and $\bar{\mathcal{L}}_{rate}$. The cotangent
 # $\bar{\mathcal{L}}_{total}$ is printed as `out_bar.L_total`.
 #
-# **12.2** ● Write Eq. (16). `ssim.dissimilarity(image, truth)[0]` is $1 - \mathrm{SSIM}$ with all
+# **16.2** ● Write Eq. (16). `ssim.dissimilarity(image, truth)[0]` is $1 - \mathrm{SSIM}$ with all
 # its digits. Subtracting a rounded SSIM from $1$ loses digits, and one golden case has nearly equal
 # images.
 #
-# **12.3** ●●● Write the backward of SSIM, with `window.blur`.
+# **16.3** ●●● Write the backward of SSIM, with `window.blur`.
 #
 # **Predict, then run.** Both pictures are made half as bright. What happens to $\mathcal{L}_1$, and
 # what to $1 - \mathrm{SSIM}$?
@@ -443,9 +443,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("12.1", answer_1)
-lessons.check_forward("12.2", my_forward, "render_loss")
-lessons.check_backward("12.3", my_backward, "ssim")
+lessons.check_number("16.1", answer_1)
+lessons.check_forward("16.2", my_forward, "render_loss")
+lessons.check_backward("16.3", my_backward, "ssim")
 
 # %% [markdown]
 # ## Check your port

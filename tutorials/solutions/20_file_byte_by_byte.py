@@ -12,14 +12,14 @@ from p4dgs_ref.codec import container
 from p4dgs_ref.oracle import streams
 
 # %% [markdown]
-# **19.1** The section holds a box of six `float32`, then three `uint16` for each anchor.
+# **20.1** The section holds a box of six `float32`, then three `uint16` for each anchor.
 
 # %%
-lessons.check_number("19.1", 6 * 4 + 400 * 3 * 2, 24 + 6 * 400)
+lessons.check_number("20.1", 6 * 4 + 400 * 3 * 2, 24 + 6 * 400)
 
 
 # %% [markdown]
-# **19.3** comes first because it opens the file. The order of the checks matters: nothing may be
+# **20.3** comes first because it opens the file. The order of the checks matters: nothing may be
 # read before it is known to exist. Section ids must rise, so that no section occurs twice. Bytes
 # that are missing or left over at the end are an error too.
 
@@ -68,10 +68,10 @@ good = stored("good")
 bad_frames = [bad for bad in stored("bad") if refuses(container.read_container, bad)]
 read = sum(my_container(whole) == container.read_container(whole) for whole in good)
 refusals = sum(refuses(my_container, bad) for bad in bad_frames)
-lessons.check_number("19.3", [read, refusals], [len(good), len(bad_frames)])
+lessons.check_number("20.3", [read, refusals], [len(good), len(bad_frames)])
 
 # %% [markdown]
-# **19.2** The box is stored in `float32`, but the arithmetic is done in doubles: divide the
+# **20.2** The box is stored in `float32`, but the arithmetic is done in doubles: divide the
 # extent by $65535$, multiply, add.
 
 # %%
@@ -80,7 +80,7 @@ box = np.array(struct.unpack_from("<6f", body))
 n = np.array(struct.unpack_from("<3H", body, 24 + 6 * 17))
 lo, hi = box[:3], box[3:]
 anchor_17 = lessons.golden("frames/front_000")["in.x_a"][17]
-lessons.check_number("19.2", lo + n * ((hi - lo) / 65535), anchor_17, digits=15)
+lessons.check_number("20.2", lo + n * ((hi - lo) / 65535), anchor_17, digits=15)
 
 # %% [markdown]
 # **Predict, then run.** No. A checksum that is itself damaged no longer agrees with its bytes, and

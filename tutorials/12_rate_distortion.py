@@ -2,7 +2,7 @@
 # # Eq. (15): rate against distortion, in real bytes
 #
 # **Promise.** After this you can draw an honest rate-distortion curve, and say what
-# $\lambda_{rate}$ does to steps and files. **Before it:** `17_four_stages`. **Takes** ten seconds
+# $\lambda_{rate}$ does to steps and files. **Before it:** `11_rate`. **Takes** ten seconds
 # on two cores, 20 minutes of reading and 25 of exercises.
 #
 # **Files:** [total_loss.py](../p4dgs_ref/equations/total_loss.py),
@@ -19,7 +19,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures, shared
 
 plt = figures.pyplot()
-architecture.show("27_rate_distortion", "total_loss", "rate_loss", "file")
+architecture.show("12_rate_distortion", "total_loss", "rate_loss", "file")
 
 # %% [markdown]
 # ## Claim
@@ -167,7 +167,7 @@ figures.finish(
     title=f"What the price acts on; the other\n{fixed.mean():,.0f} bytes stay as they are",
     xlim=(-0.5, 4.9),
 )
-figures.show(figure, "27_rate_distortion")
+figures.show(figure, "12_rate_distortion")
 
 # %% [markdown]
 # All four pictures look sharp. The price shows in their errors, at the edges and in the tiles. Each
@@ -204,7 +204,7 @@ for ax in wrong:
     ax.axis("off")
 figure.colorbar(shades, cax=wrong[4].inset_axes((0.2, 0.1, 0.1, 0.8)), label="error of a pixel")
 figure.suptitle("A test view from the four files; bytes of the attributes")
-figures.show(figure, "27_rate_distortion_pictures")
+figures.show(figure, "12_rate_distortion_pictures")
 
 # %% [markdown]
 # ## Backward by hand
@@ -317,11 +317,11 @@ assert (np.abs(overhead) < 0.05).all()
 
 # %% [markdown]
 # ## Exercises
-# **27.1** ● At which price are the ways A and B of "By hand" equally good?
+# **12.1** ● At which price are the ways A and B of "By hand" equally good?
 #
-# **27.2** ● A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
+# **12.2** ● A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
 #
-# **27.3** ●● Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
+# **12.3** ●● Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
 # `L_rate` is `bits` divided by `n_parameters`, or zero if there are none.
 #
 # **Predict, then run.** The price $\lambda$ is multiplied by $4$. What happens to the best step,
@@ -340,9 +340,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("27.1", answer_1)
-lessons.check_number("27.2", answer_2)
-lessons.check_backward("27.3", my_backward, "rate_loss")
+lessons.check_number("12.1", answer_1)
+lessons.check_number("12.2", answer_2)
+lessons.check_backward("12.3", my_backward, "rate_loss")
 
 # %% [markdown]
 # ## Check your port

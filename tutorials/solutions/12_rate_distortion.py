@@ -7,18 +7,18 @@ import numpy as np
 from p4dgs_ref import lessons
 
 # %% [markdown]
-# **27.1** From $6\lambda + 0.01 = 3\lambda + 0.05$, the price is the reduction of the error
+# **12.1** From $6\lambda + 0.01 = 3\lambda + 0.05$, the price is the reduction of the error
 # divided by the additional bits. It is the negative slope of the line through both points.
 # Training ends where the slope of its curve is $-\lambda$.
 
 # %%
 price = (0.05 - 0.01) / (6 - 3)
 assert np.isclose(6 * price + 0.01, 3 * price + 0.05)
-lessons.check_number("27.1", price, 0.04 / 3)
+lessons.check_number("12.1", price, 0.04 / 3)
 
 
 # %% [markdown]
-# **27.2** The best step is $\sqrt{6\lambda/(w\ln 2)}$. If the picture is four times as sensitive,
+# **12.2** The best step is $\sqrt{6\lambda/(w\ln 2)}$. If the picture is four times as sensitive,
 # the step is half as large. A direct search for the minimum of the cost gives the same step.
 
 
@@ -30,11 +30,11 @@ def best_step(w):
 steps = np.linspace(0.06, 0.07, 100_001)
 cost = 2 * steps**2 / 12 - 0.001 * np.log2(steps)
 assert np.isclose(steps[cost.argmin()], best_step(2), rtol=1e-5)
-lessons.check_number("27.2", best_step(2), best_step(8) * 2)
+lessons.check_number("12.2", best_step(2), best_step(8) * 2)
 
 
 # %% [markdown]
-# **27.3** Both rates enter both outputs in the same way, so they receive the same gradient. If
+# **12.3** Both rates enter both outputs in the same way, so they receive the same gradient. If
 # there are no numbers, `L_rate` is the constant 0, and only `bits` has a gradient.
 
 
@@ -47,7 +47,7 @@ def my_backward(inputs, cotangents):
     return {"R_anchor": np.asarray(bar), "R_hash": np.asarray(bar)}
 
 
-lessons.check_backward("27.3", my_backward, "rate_loss")
+lessons.check_backward("12.3", my_backward, "rate_loss")
 
 # %% [markdown]
 # **Predict, then run.** The step is proportional to $\sqrt\lambda$, so it doubles. A number then

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you can port the method to another language in six steps, and read from
 # the checker's first line which of your lines is wrong. **Before it:** `07_noise_and_rounding`,
-# `09_hash_grid`, `15_compositing`, `20_intervals_to_rans`. **Takes** ten seconds on two cores,
+# `09_hash_grid`, `15_compositing`, `21_intervals_to_rans`. **Takes** ten seconds on two cores,
 # 15 minutes of reading and 15 of exercises.
 #
 # **Files:** [p4dgs.js](../p4dgs_ref/viewer/p4dgs.js),
@@ -21,7 +21,7 @@ from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
 architecture.show(
-    "28_porting_in_an_afternoon",
+    "26_porting_in_an_afternoon",
     "rounding",
     "hash_grid",
     "projection",
@@ -187,7 +187,7 @@ for mistake, (right, wrong, only, first, failing) in (MISTAKES if node else {}).
 figure, ax = plt.subplots(figsize=(9, 4))
 ax.barh(list(MISTAKES), [row[-1] for row in MISTAKES.values()], edgecolor="k")
 figures.finish(ax, xlabel="cases that fail; the first of them names the equation")
-figures.show(figure, "28_porting", title="Seven mistakes in one line each")
+figures.show(figure, "26_porting", title="Seven mistakes in one line each")
 
 # %% [markdown]
 # ## What a codec does with it
@@ -204,10 +204,10 @@ figures.show(figure, "28_porting", title="Seven mistakes in one line each")
 
 # %% [markdown]
 # ## Exercises
-# **28.1** ● How many of the six ties $-2.5, -1.5, \dots, 2.5$ does $\lfloor v + \frac12\rfloor$
+# **26.1** ● How many of the six ties $-2.5, -1.5, \dots, 2.5$ does $\lfloor v + \frac12\rfloor$
 # round otherwise than to even? For example, $0.5$ is one of them and $1.5$ is not.
 #
-# **28.2** ●● A double holds every integer up to $2^{53}$, and beyond it only the even ones. What is
+# **26.2** ●● A double holds every integer up to $2^{53}$, and beyond it only the even ones. What is
 # the smallest $j$ for which the product $2654435761\, j$ of the hash is not exact in a double?
 #
 # **Predict, then run.** In a file, a level of the hash grid has at most $2^{16}$ nodes along an
@@ -215,8 +215,8 @@ figures.show(figure, "28_porting", title="Seven mistakes in one line each")
 
 # %%
 answer_1 = answer_2 = ...
-lessons.check_number("28.1", answer_1)
-lessons.check_number("28.2", answer_2)
+lessons.check_number("26.1", answer_1)
+lessons.check_number("26.2", answer_2)
 
 # %% [markdown]
 # ## Check your port

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you know every array of a training step by its shape, and you can say by
 # how much the error of one pixel's red value moved one feature of one anchor. **Before it:**
-# `17_four_stages`. **Takes** four seconds on two cores, 25 minutes of reading and 30 of exercises.
+# `18_four_stages`. **Takes** four seconds on two cores, 25 minutes of reading and 30 of exercises.
 #
 # **Files:** [objective.py](../p4dgs_ref/training/objective.py),
 # [parameters.py](../p4dgs_ref/training/parameters.py) (Adam),
@@ -18,7 +18,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
-architecture.show("18_one_training_step", "noise", "render_loss", "rate_loss", "total_loss")
+architecture.show("19_one_training_step", "noise", "render_loss", "rate_loss", "total_loss")
 
 # %% [markdown]
 # ## Claim
@@ -321,7 +321,7 @@ figures.finish(
     xlabel="change of the feature, $10^{-3}$",
 )
 figures.label(made_of, (1e3 * move - 0.01, 3.4), ha="right")
-figures.show(figure, "18_one_training_step")
+figures.show(figure, "19_one_training_step")
 
 # %% [markdown]
 # ## Break it
@@ -373,13 +373,13 @@ assert 0 < reach < pixels
 
 # %% [markdown]
 # ## Exercises
-# **18.1** ● How large is the gradient of L1 alone for one number of a picture of 64 x 64 pixels,
+# **19.1** ● How large is the gradient of L1 alone for one number of a picture of 64 x 64 pixels,
 # with $\lambda_{SSIM} = 0.2$? Give its magnitude.
 #
-# **18.2** ● Adam's very first step has no memory. By how much does a parameter move if the learning
+# **19.2** ● Adam's very first step has no memory. By how much does a parameter move if the learning
 # rate is 0.015 and its gradient is -3e-5?
 #
-# **18.3** ●● Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
+# **19.3** ●● Write the backward of Eqs. (5) and (6) as the pipeline uses it, in which no gradient
 # flows from $\mathcal{E}(x)$ back to x (choice Q10 in `reference.md`).
 #
 # **Predict, then run.** The whole loss is multiplied by $1000$. How do Adam's steps change?
@@ -397,9 +397,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("18.1", answer_1)
-lessons.check_number("18.2", answer_2)
-lessons.check_backward("18.3", my_backward, "temporal_prediction", "x", "s", "r")
+lessons.check_number("19.1", answer_1)
+lessons.check_number("19.2", answer_2)
+lessons.check_backward("19.3", my_backward, "temporal_prediction", "x", "s", "r")
 
 # %% [markdown]
 # ## Check your port

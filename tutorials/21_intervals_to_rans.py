@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can turn symbols with probabilities into bytes and back,
 # first with fractions and then exactly as in the file. **Before it:** `10_prior_and_likelihood`;
-# `19_file_byte_by_byte` helps. **Takes** four seconds on two cores, 30 minutes of reading and 40 of
+# `20_file_byte_by_byte` helps. **Takes** four seconds on two cores, 30 minutes of reading and 40 of
 # exercises.
 #
 # **Files:** [rans.py](../p4dgs_ref/codec/rans.py),
@@ -26,7 +26,7 @@ lessons.find_tools()
 from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
-architecture.show("20_intervals_to_rans", "likelihood", "entropy_coder", "file")
+architecture.show("21_intervals_to_rans", "likelihood", "entropy_coder", "file")
 
 # %% [markdown]
 # ## Claim
@@ -184,7 +184,7 @@ for i in range(6):
         frames.append(frame(canvas, i, left, left + width * share, text))
         last = i == 5 and step == 8
         milliseconds.append(1500 if step == 0 or last else 90)
-target = figures.out() / "20_intervals_to_rans.gif"
+target = figures.out() / "21_intervals_to_rans.gif"
 imageio.imwrite(target, frames, duration=milliseconds, loop=0)
 
 # %% [markdown]
@@ -315,7 +315,7 @@ figures.finish(
     title="The state grows by the bits that the prior predicted",
 )
 figures.label(growing, (235, 430), (50, 560))
-figures.show(figure, "20_intervals_to_rans")
+figures.show(figure, "21_intervals_to_rans")
 
 # %% [markdown]
 # **A state that fits into 64 bits.** The file uses $M = 2^{24}$ and keeps $x$ between $2^{31}$ and
@@ -422,12 +422,12 @@ for row in inspect.ledger(data):
 
 # %% [markdown]
 # ## Exercises
-# **20.1** ● How many bits does $b\,c\,c\,a$ take with the parts of "By hand"?
+# **21.1** ● How many bits does $b\,c\,c\,a$ take with the parts of "By hand"?
 #
-# **20.2** ●● Write `my_encode(entries, keys)`, which returns the bytes of one lane for symbols that
+# **21.2** ●● Write `my_encode(entries, keys)`, which returns the bytes of one lane for symbols that
 # share one table. It must reproduce the masks of the file.
 #
-# **20.3** ●● Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
+# **21.3** ●● Write `my_decode(message, count, keys)`. It must decode the signs of the hash grid.
 #
 # **Predict, then run.** One sign in a hundred is negative, but according to the encoder's table it
 # is one in two. How many bits per sign does `my_encode` write with this table, and how many with
@@ -462,9 +462,9 @@ with suppress(NotImplementedError):
     answer_2 = np.frombuffer(my_encode(bits.astype(int), bit_keys), np.uint8)
 with suppress(NotImplementedError):
     answer_3 = my_decode(grid[4:], len(signs), sign_keys)
-lessons.check_number("20.1", answer_1)
-lessons.check_number("20.2", answer_2, np.frombuffer(masks[4:], np.uint8))
-lessons.check_number("20.3", answer_3, signs)
+lessons.check_number("21.1", answer_1)
+lessons.check_number("21.2", answer_2, np.frombuffer(masks[4:], np.uint8))
+lessons.check_number("21.3", answer_3, signs)
 
 # %% [markdown]
 # ## Check your port

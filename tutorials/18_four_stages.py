@@ -2,7 +2,7 @@
 # # Eq. (5), Eq. (7), Eq. (8) and Eq. (15): the four stages of training
 #
 # **Promise.** After this you can say what each stage of training switches on, and how that changes
-# the gradient and the picture. **Before it:** `16_pipeline_by_hand`. **Takes** eight seconds on two
+# the gradient and the picture. **Before it:** `17_pipeline_by_hand`. **Takes** eight seconds on two
 # cores, 25 minutes of reading and 35 of exercises.
 #
 # **Files:** [presets.py](../p4dgs_ref/training/presets.py),
@@ -21,7 +21,7 @@ from tutorials.tools import architecture, figures
 
 plt = figures.pyplot()
 architecture.show(
-    "17_four_stages",
+    "18_four_stages",
     "deformation",
     "deformed",
     "noise",
@@ -196,7 +196,7 @@ low.set(
     ylabel="bits per number",
     ylim=(0, None),
 )
-figures.show(figure, "17_four_stages_curve")
+figures.show(figure, "18_four_stages_curve")
 
 # %% [markdown]
 # The next figure shows one test view after each stage. As long as the model knows no time, a
@@ -228,7 +228,7 @@ for ax in panels:
     ax.axis("off")
 figures.show(
     figure,
-    "17_four_stages",
+    "18_four_stages",
     title=f"Time sharpens what moves: a test view at t = {view.time:.2f}, at the end of each stage",
 )
 
@@ -409,13 +409,13 @@ assert abs(after - scores[3]) < 0.5
 
 # %% [markdown]
 # ## Exercises
-# **17.1** ● What percentage of its iterations does the preset `paper_real` spend in stage 3?
+# **18.1** ● What percentage of its iterations does the preset `paper_real` spend in stage 3?
 #
-# **17.2** ● In which stage of `tiny` does each of these arrays move for the first time: x_a, f_a,
+# **18.2** ● In which stage of `tiny` does each of these arrays move for the first time: x_a, f_a,
 # log_s, log_l, O_a, psi_alpha, psi_c, psi_r, psi_s, psi_d, psi_p, psi_q, grid? Give thirteen
 # numbers.
 #
-# **17.3** ●●● Write the part of the backward that stage 4 adds: the gradients of all bits for the
+# **18.3** ●●● Write the part of the backward that stage 4 adds: the gradients of all bits for the
 # noisy numbers and the steps. The output `bits` is Eq. (13) plus Eq. (14), without the offsets of
 # masked children. The output `L_rate` is `bits` divided by the count of all numbers, the masked
 # ones included.
@@ -437,9 +437,9 @@ def my_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("17.1", answer_1)
-lessons.check_number("17.2", answer_2)
-lessons.check_backward("17.3", my_backward, "rate_stage", "noisy", "q")
+lessons.check_number("18.1", answer_1)
+lessons.check_number("18.2", answer_2)
+lessons.check_backward("18.3", my_backward, "rate_stage", "noisy", "q")
 
 # %% [markdown]
 # ## Check your port
