@@ -159,7 +159,7 @@ def test_a_folder_named_like_the_home_folder(ok, scene, monkeypatch):
     ):
         ok(line)
     wanted = {"held/motion.gif", "held/t_000.png", "views/view_001.png", "drawn/test/r_009.png"}
-    assert wanted <= {str(file.relative_to("~")) for file in Path("~").rglob("*")}
+    assert wanted <= {file.relative_to("~").as_posix() for file in Path("~").rglob("*")}
     assert not list(Path("home").iterdir())
 
 

@@ -240,7 +240,7 @@ def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
         job, "fit_with_advice", lambda *args, **kwargs: pytest.fail("trained for nothing")
     )
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    with pytest.raises(OutputError, match="file/report: expected a folder"):
+    with pytest.raises(OutputError, match="file.report: expected a folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
     with pytest.raises(OSError, match="File name too long"):
         p4.main_job(replace(scene, name="a" * 260), "smoke", 0, tmp_path / "new")

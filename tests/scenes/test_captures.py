@@ -92,7 +92,9 @@ def test_a_capture_as_it_lies(toy):
     assert {view.time for view in scene.train + scene.test} == {0}
     assert scene.effects == ("view_color", "view_geometry", "occlusion", "background")
     unread, still = told
-    assert unread == f"{toy}/transforms.json: fields that are not read: 'aabb_scale', 'sharpness'"
+    assert (
+        unread == f"{toy / 'transforms.json'}: fields that are not read: 'aabb_scale', 'sharpness'"
+    )
     assert still == f"{toy}: no picture has a time: all times are 0, and nothing moves"
     np.testing.assert_allclose(scene.train[4].camera.center, pose(azimuth=5)[:3, 3], atol=1e-12)
 
@@ -226,7 +228,7 @@ def test_premultiplied_colours_get_one_line(tmp_path):
         (folder / "transforms.json").write_text(json.dumps(data), encoding="utf-8")
         warn_once.cache_clear()
         _, told = read(folder, downscale=2)
-        begin = f"{folder}/transforms.json: in the partly"
+        begin = f"{folder / 'transforms.json'}: in the partly"
         assert len([line for line in told if line.startswith(begin)]) == lines
 
 

@@ -155,7 +155,7 @@ def test_a_field_is_used_or_off_or_named_in_one_line(folder, recwarn):
     with pytest.warns(UserWarning) as told:
         load_scene(folder)
     names = ", ".join(map(repr, sorted([*NAMED, "sharpness"])))
-    line = f"{folder}/transforms_train.json: fields that are not read: {names}"
+    line = f"{folder / 'transforms_train.json'}: fields that are not read: {names}"
     assert [str(one.message) for one in told] == [line]
 
 
