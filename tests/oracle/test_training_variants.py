@@ -1,11 +1,11 @@
 """Wrong trainings: of the 99 variants of a training step, ten are tried here.
 
-`python -m tests.workshop.training_variants` tries all of them before a release.
+`python -m tests.oracle.training_variants` tries all of them before a release.
 """
 
 import pytest
 
-from tests.workshop.training_variants import PASSING, noticed_by, rows
+from tests.oracle.training_variants import PASSING, noticed_by, rows
 
 # Those that need a case of version 1.1, one of every kind.
 TRIED = {

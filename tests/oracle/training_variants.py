@@ -1,7 +1,7 @@
 """Wrong variants of a training step, which the cases of level L4 must notice.
 
 A row of VARIANTS is a change of the package's own text that stands for a mistake of a port. Before
-a release, `python -m tests.workshop.training_variants` replays the cases with each of them and
+a release, `python -m tests.oracle.training_variants` replays the cases with each of them and
 lists those that no case notices: they must be the six that PASSING gives a reason for. It takes
 some minutes; a slow test tries ten.
 """
