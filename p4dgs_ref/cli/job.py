@@ -40,7 +40,7 @@ FIXED = "azimuth elevation distance size frames".split()  # options of the camer
 
 
 def read_preset(name, changes=()):
-    """The preset with its --set changes, checked before any work begins."""
+    """Return the preset with its --set changes, checked before any work begins."""
     try:
         return choose(name, dict(item.partition("=")[::2] for item in changes))
     except ValueError as error:
@@ -48,7 +48,7 @@ def read_preset(name, changes=()):
 
 
 def read_file(path):
-    """The bytes of a file, its model, and the seconds that decoding took."""
+    """Return the bytes of a file, its model, and the seconds that decoding took."""
     require_usage(
         Path(path).is_file() or not Path(path).exists(),
         path,
@@ -62,7 +62,7 @@ def read_file(path):
 
 
 def load(arguments):
-    """The scene of a command; while it is read, a line every ten seconds says how far."""
+    """Return the scene of a command; report the pictures that are read every ten seconds."""
     due = time.monotonic() + 2
 
     def report(done, total):
