@@ -940,8 +940,8 @@ if SHOW:
     strip(title, shown, ["before", *(f"after stage {i}" for i in (1, 2, 3, 4))])
 
 # %% [markdown]
-# Stages 1 and 2 mainly remove the grey of the untrained Gaussians, since most pixels are background.
-# More steps would help little: without motion, anchors draw a smear. Stage 3 therefore begins early.
+# Stages 1 and 2 mainly remove the grey of the untrained Gaussians: most pixels are background. More
+# steps would help little. Without motion, anchors draw a smear, so stage 3 begins early.
 #
 # ## Bytes
 # The entropy coder counts probabilities in units of 2^-24, at least one for each symbol; `cdf` is
