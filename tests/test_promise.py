@@ -54,7 +54,7 @@ def digests(case):
     tolerances = [case.record["tolerance"], case.record["result"], case.record.get("others")]
     tolerances += [subject.get("group"), subject["level"], subject["equation"]]
     for precision in compare.PRECISIONS:
-        tolerances += in_order(compare.measured().get((case.id, precision), {}))
+        tolerances += in_order(compare.printed_arrays().get((case.id, precision), {}))
     return {
         "settings": digest(case.record["settings"], subject["shapes"], subject["differentiable"]),
         "tolerances, or what else may be answered,": digest(*tolerances),
@@ -74,7 +74,7 @@ def test_vectors(subject):
 
 def stream_digest(row):
     """The digest of a stream: its bytes, and what a decoder finds, or that it is refused."""
-    found = {entry["name"]: streams.stored(row, entry) for entry in row.get("arrays", ())}
+    found = {entry["name"]: streams.read_expected(row, entry) for entry in row.get("arrays", ())}
     data = (streams.STREAMS / row["file"]).read_bytes()
     return digest(row["result"], data, *in_order(found))
 

@@ -405,7 +405,7 @@ def my_sigma_units(raw, log2_D, p):
 
 
 row = next(row for row in streams.read_rows()["good"] if row["name"] == "full")
-stored = {array["name"]: streams.stored(row, array) for array in row["arrays"]}
+stored = {array["name"]: streams.read_expected(row, array) for array in row["arrays"]}
 stream = (streams.STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(read_container(stream)).model
 widths = full.design.widths

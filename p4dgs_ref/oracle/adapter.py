@@ -92,14 +92,14 @@ class Adapter(contextlib.AbstractContextManager):
             "differentiable": [
                 name.removeprefix("in_bar.") for name in case.tensors if name.startswith("in_bar.")
             ],
-            "in": self._packed(case, "in."),
-            "out_bar": self._packed(case, "out_bar."),
+            "in": self._pack(case, "in."),
+            "out_bar": self._pack(case, "out_bar."),
         }
         answer = self._ask(request, case.subject)
         got = {
             f"{role}{name}": a
             for role in self.asked
-            for name, a in unpacked(answer, role.strip(".")).items()
+            for name, a in unpack(answer, role.strip(".")).items()
         }
         refuse_other_types(case, got, self.dtype)
         return got
@@ -114,7 +114,7 @@ class Adapter(contextlib.AbstractContextManager):
         refused = answer.get("refused")
         if refused is not None:
             refused = shorten(str(refused))
-        arrays = {} if refused and "arrays" not in answer else unpacked(answer, "arrays")
+        arrays = {} if refused and "arrays" not in answer else unpack(answer, "arrays")
         return arrays, refused
 
     def __exit__(self, *_):
@@ -126,10 +126,10 @@ class Adapter(contextlib.AbstractContextManager):
         return child.end(grace) if child else ""
 
     @np.errstate(over="ignore")  # beyond float32: infinite, as in every port
-    def _packed(self, case, prefix):
+    def _pack(self, case, prefix):
         """Return the tensors of a role as ARRAYs in the precision of the check."""
         return {
-            name.removeprefix(prefix): packed(a)
+            name.removeprefix(prefix): pack(a)
             for name, a in cast(case.tensors, self.dtype).items()
             if name.startswith(prefix)
         }
@@ -153,7 +153,7 @@ class Adapter(contextlib.AbstractContextManager):
                 )
                 self.asked = ROLES[:1] if self.says.get("gradients") is False else ROLES
                 listed, known = self.says.get("subjects", []), [*subjects(), "codec"]
-                require(
+                require_protocol(
                     isinstance(listed, list) and all(name in known for name in listed),
                     "subjects",
                     f"expected a list of some of {', '.join(known)}, got {listed}",
@@ -179,13 +179,13 @@ class Adapter(contextlib.AbstractContextManager):
         assert self.child, "a process runs"
         line = self.child.exchange(json.dumps(request).encode() + b"\n", self.timeout)
         answer = json_object(line)
-        require(
+        require_protocol(
             answer is not None,
             "answer",
             f"expected a line with a JSON object, got {repr(line[:QUOTE_LENGTH])[1:]}",
         )
         want, got = json.dumps(request[field]), json.dumps(answer.get(field))
-        require(
+        require_protocol(
             got == want,
             "answer",
             f"expected {field} {want}, got {got}; every request gets one line",
@@ -213,7 +213,8 @@ class Child:
         )
         self.stdout = io.BufferedReader(stdout)
         self.words = b""  # the end of stderr
-        self.threads = {self.stderr: started(self._listen)}  # the latest one at work on each pipe
+        # The latest thread at work on each pipe.
+        self.threads = {self.stderr: start_thread(self._listen)}
 
     def _listen(self):
         while part := self.stderr.read(2**16):
@@ -232,12 +233,12 @@ class Child:
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
         deadline, lines = time.monotonic() + seconds, []
-        sender = started(self._send, request)
-        receiver = started(lambda: lines.append(self.stdout.readline(MAX_LINE_BYTES + 1)))
+        sender = start_thread(self._send, request)
+        receiver = start_thread(lambda: lines.append(self.stdout.readline(MAX_LINE_BYTES + 1)))
         self.threads.update({self.stdin: sender, self.stdout: receiver})
         receiver.join(seconds)
         if lines:
-            require(
+            require_protocol(
                 len(lines[0]) <= MAX_LINE_BYTES,
                 "answer",
                 f"expected a line of at most {MAX_LINE_BYTES:,} bytes, got more",
@@ -263,7 +264,7 @@ class Child:
         """Close stdin, wait `grace` seconds, kill the group; return the end of stderr."""
         try:
             if grace:
-                started(self._close, self.stdin)
+                start_thread(self._close, self.stdin)
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self.process.wait(grace)
         finally:
@@ -271,7 +272,8 @@ class Child:
             with contextlib.suppress(AttributeError, ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
-            for closing in [started(self._close, pipe) for pipe in (*self.threads, self.stdin)]:
+            pipes = (*self.threads, self.stdin)
+            for closing in [start_thread(self._close, pipe) for pipe in pipes]:
                 closing.join(1)  # another process may hold the pipe
         lines = map(str.strip, self.words.decode(errors="replace").splitlines())
         return " / ".join(filter(None, lines))[-QUOTE_LENGTH:]
@@ -293,31 +295,31 @@ def words_of(command):
         return []
 
 
-def started(function, *arguments):
+def start_thread(function, *arguments):
     """Return a started thread, which does not keep this process alive."""
     thread = threading.Thread(target=function, args=arguments, daemon=True)
     thread.start()
     return thread
 
 
-def packed(array):
+def pack(array):
     """Return an array in the form ARRAY of the protocol."""
     record, data = record_of(array)
     return {**record, "data": base64.b64encode(data).decode()}
 
 
-def unpacked(answer, role):
+def unpack(answer, role):
     """Return the arrays of one field of an answer.
 
     Raises PortError, kind nonsense, which names the array and what was expected.
     """
     fields = answer.get(role)
-    require(isinstance(fields, dict), f"field {role!r}", "expected an object of arrays")
+    require_protocol(isinstance(fields, dict), f"field {role!r}", "expected an object of arrays")
     return {name: _array(f"{role}.{name}", field) for name, field in fields.items()}
 
 
 def _array(name, field):
-    require(isinstance(field, dict), name, "expected the fields dtype, shape and data")
+    require_protocol(isinstance(field, dict), name, "expected the fields dtype, shape and data")
     try:
         return array_of(name, field, base64.b64decode(field.get("data"), validate=True))
     except TensorError as error:
@@ -326,7 +328,7 @@ def _array(name, field):
         raise PortError("nonsense", f"{name}: expected data in base64") from None
 
 
-def require(condition, where, expected):
+def require_protocol(condition, where, expected):
     """Raise a PortError unless the condition holds: an answer breaks the protocol."""
     if not condition:
         raise PortError("nonsense", f"{where}: {expected}")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import doctor, published
-from .compare import RECIPES, Result, as_printed, compare, expected, precision
+from .compare import RECIPES, Result, compare, expected_tensors, precision, printed_form
 from .ports import ROLES, FunctionPort, PortError
 from .published import GROUPS, INVALID, LEVELS
 from .report import text
@@ -129,7 +129,7 @@ def check_subject(cases, port, strict=False):
             if result.verdict in ("pass", "fail") and not result.recipe
         ],
     )
-    return [explained(r, diagnoses) for r in results]
+    return [with_diagnosis(r, diagnoses) for r in results]
 
 
 def judge(case, port, strict=False):
@@ -159,12 +159,12 @@ def judge_answer(case, got, roles=ROLES, strict=False):
     got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}
     is_valid, not_judged = case.record["result"] == "valid", case.not_judged(precision(got))
     # Of the group `inside` a port may answer some tensors; of all others every one is expected.
-    some = case.group == "inside" and expected(case.tensors).keys() & got.keys()
-    names = [n for n in some or expected(case.tensors) if n.startswith(roles)]
+    some = case.group == "inside" and expected_tensors(case.tensors).keys() & got.keys()
+    names = [n for n in some or expected_tensors(case.tensors) if n.startswith(roles)]
     if case.tolerance(precision(got)) is None:
         names = []
     findings = findings_of(case, got, names) if names else []
-    printed, mine = as_printed(case, got)
+    printed, mine = printed_form(case, got)
     mistaken = [
         finding
         for finding in findings and findings_of(printed, mine, names)
@@ -219,10 +219,10 @@ def evidence(case, got, result):
     wrong = [finding.tensor for finding in result.findings]
     near = {finding.tensor for finding in findings_of(case, got, got)} - set(wrong)
     shown = {n: a for n, a in got.items() if n not in near and n not in result.not_judged}
-    return as_printed(case, got)[0], shown, wrong
+    return printed_form(case, got)[0], shown, wrong
 
 
-def explained(result, diagnoses):
+def with_diagnosis(result, diagnoses):
     """Return a result with what the diagnoses say of its case: an explanation or a hint.
 
     A known mistake also names the equation to blame.

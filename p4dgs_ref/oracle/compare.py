@@ -94,7 +94,7 @@ def cast(values, dtype):
     return change_floats(values, lambda a: np.asarray(a, dtype))
 
 
-def expected(tensors):
+def expected_tensors(tensors):
     """Return the tensors of a case that a port must give: outputs and gradients."""
     return {name: a for name, a in tensors.items() if name.startswith(("out.", "in_bar."))}
 
@@ -112,7 +112,7 @@ def symmetric_parts(tensors):
 
 def precision(got):
     """Return the precision in which a port computes: float32 if any float tensor has it."""
-    is_single = any(np.asarray(a).dtype.name == "float32" for a in expected(got).values())
+    is_single = any(np.asarray(a).dtype.name == "float32" for a in expected_tensors(got).values())
     return "float32" if is_single else "float64"
 
 
@@ -130,7 +130,7 @@ def too_wide(tensors, tolerance, precision):
 
     return [
         name
-        for name, right in expected(tensors).items()
+        for name, right in expected_tensors(tensors).items()
         if tolerance is None
         or np.isinf(tensors.get("scale." + name, 0)).any()
         or right.any()
@@ -145,7 +145,9 @@ def compare(tensors, got, tolerance):
     `tensors` are those of the vectors with their scales, `tolerance` is the record of the port's
     precision.
     """
-    return differences(expected(tensors), symmetric_parts(expected(got)), tensors, tolerance)
+    return differences(
+        expected_tensors(tensors), symmetric_parts(expected_tensors(got)), tensors, tolerance
+    )
 
 
 def differences(want, got, tensors=None, tolerance=None):
@@ -285,7 +287,7 @@ RECIPES = {subject: recipe for recipe, of in RECIPES_FOR.items() for subject in 
 
 
 @cache
-def measured():
+def printed_arrays():
     """Return {case id and precision: {name: array}} of the file."""
     cases = {}
     for name, array in safetensors.load(PRINTED.read_bytes()).items():
@@ -294,14 +296,14 @@ def measured():
     return cases
 
 
-def as_printed(case, got):
+def printed_form(case, got):
     """Return a case with the scales of the printed formula, and an answer in its range.
 
     Where the formula leaves the range, an answer of 0, infinity or NaN is replaced by the expected
     number, with an infinite scale; any other answer there is judged.
     """
     mine, precise = dict(got), precision(got)
-    stored = measured().get((case.id, precise), {})
+    stored = printed_arrays().get((case.id, precise), {})
 
     def of(role):
         return {n.removeprefix(role): a for n, a in stored.items() if n.startswith(role)}

@@ -67,7 +67,7 @@ class Diagnosis(NamedTuple):
 
 
 @cache
-def known(subject):
+def known_mistakes(subject):
     """Return the known mistakes of a subject."""
     rows = json.loads((FOLDER / "mistakes.json").read_text(encoding="utf-8"))
     mistakes = {row["id"]: Mistake(**row, answers={}) for row in rows if row["subject"] == subject}
@@ -92,7 +92,7 @@ def diagnose(subject, answers):
         (case, symmetric_parts(got), [n for n in wrong if n in got and n in case.tensors])
         for case, got, wrong in answers
     ]
-    mistakes = known(subject) + _scaled(answers)
+    mistakes = known_mistakes(subject) + _scaling_mistake(answers)
     rows = explain(mistakes, answers)
     outputs, gradients = (_of(answers, role) for role in ROLES.values())
     of_outputs = _best(explain(mistakes, outputs, "outputs"))
@@ -162,7 +162,7 @@ def _of(answers, prefix):
     ]
 
 
-def _scaled(answers):
+def _scaling_mistake(answers):
     """Return the mistake of giving quantities multiplied by a factor, if the answers suggest one.
 
     Every wrong output or gradient has the factor with which most cases agree.

@@ -10,8 +10,8 @@ import numpy as np
 from ..messages import shorten
 from . import safetensors
 from .compare import PRECISIONS, cast, differences, precision
-from .published import flatten, meant, stream_rows, subjects
-from .safetensors import require
+from .published import flatten, stream_rows, subjects, suggestion
+from .safetensors import require_tensor
 
 ROLES = "out.", "in_bar."  # outputs and gradients: the tensors that a port is asked for
 
@@ -41,9 +41,9 @@ class FolderPort:
         streams = [row["name"] for row in stream_rows()]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
-                require(file.stem in known, f"{file}: name", meant(file.stem, known))
+                require_tensor(file.stem in known, f"{file}: name", suggestion(file.stem, known))
                 twin = file.with_suffix(".npz")
-                require(
+                require_tensor(
                     file == twin or not twin.exists(), twin, f"expected one file, not also {file}"
                 )
 
@@ -57,8 +57,10 @@ class FolderPort:
             known = [row["name"] for row in subjects()[case.subject]["cases"]]
             for name in arrays:
                 label, _, tensor = name.partition("/")
-                require(label in known, f"{file}: {name}: case {label!r}", meant(label, known))
-                require(
+                require_tensor(
+                    label in known, f"{file}: {name}: case {label!r}", suggestion(label, known)
+                )
+                require_tensor(
                     not tensor.startswith("scale."),
                     f"{file}: {name}",
                     "expected a port's answers, got the published vectors",
@@ -97,7 +99,7 @@ class FolderPort:
         reasons = safetensors.json_object(file.read_bytes()) if file.is_file() else {}
         known = [row["name"] for row in stream_rows()]
         for unknown in (reasons or {}).keys() - {*known}:
-            raise safetensors.TensorError(f"{file}: {unknown}: {meant(unknown, known)}")
+            raise safetensors.TensorError(f"{file}: {unknown}: {suggestion(unknown, known)}")
         if reasons is None or not isinstance(reasons.get(name), str | None):
             raise PortError(
                 "damaged",

@@ -109,7 +109,7 @@ def names(of=""):
     return [row["id"] for row in cases[of]] if of in cases else sorted({*cases, *GROUPS})
 
 
-def meant(name, known):
+def suggestion(name, known):
     """Return the end of a message about an unknown name: the nearest known one, then all."""
     nearest = get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}? " if nearest else ""
@@ -122,7 +122,7 @@ def require_known(levels, only):
     for what, known_to in ("levels", dict.fromkeys(levels, LEVELS)), ("only", subjects_of):
         for name, known in known_to.items():
             if name not in known:
-                raise SelectionError(f"{what} {name}: {meant(str(name), known)}")
+                raise SelectionError(f"{what} {name}: {suggestion(str(name), known)}")
 
 
 def cases(key):
@@ -133,7 +133,7 @@ def cases(key):
     subject, slash, _ = str(key).partition("/")
     known = names(subject) if slash and subject in subjects() else subjects()
     if key not in known:
-        raise KeyError(f"{key!r}: {meant(str(key), known)}")
+        raise KeyError(f"{key!r}: {suggestion(str(key), known)}")
     return [case for case in read(subjects()[subject]) if key in (subject, case.id)]
 
 

@@ -20,19 +20,26 @@ def text(report):
     """Return the scores, what was not judged, the first divergence, and what else failed."""
     return "\n".join(
         line
-        for section in (scores, lacking, left_out, not_judged, acceptable, divergence)
+        for section in (
+            score_lines,
+            lacking_lines,
+            left_out_lines,
+            not_judged_lines,
+            acceptable_lines,
+            divergence_lines,
+        )
         for line in section(report)
     )
 
 
-def scores(report):
+def score_lines(report):
     """Yield a line for every level and group with required cases."""
     for level, row in report.levels().items():
         also = f", {row['acceptable']} acceptable" if row["acceptable"] else ""
         yield f"{f'{level} ' + row['says']:<18} {row['passed']:>4} of {row['of']}{also}"
 
 
-def lacking(report):
+def lacking_lines(report):
     """Yield what the port said in its first line that it lacks."""
     absent = Counter(r.subject for r in report.results if r.verdict == "absent")
     if report.says.get("gradients") is False:
@@ -41,7 +48,7 @@ def lacking(report):
         yield f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"
 
 
-def left_out(report):
+def left_out_lines(report):
     """Return a line for every level or group with cases that the port may leave out, and does."""
     left = Counter(
         r.group or r.level
@@ -51,7 +58,7 @@ def left_out(report):
     return [f"{name}: {count} cases left out, which is allowed" for name, count in left.items()]
 
 
-def not_judged(report):
+def not_judged_lines(report):
     """Yield a line with the cases and tensors of which no bound tells wrong answers."""
     results = [r for r in report.results if r.not_judged or r.verdict == "not_judged"]
     names = [
@@ -64,7 +71,7 @@ def not_judged(report):
         yield f"  what keeps the digits: {recipe}"
 
 
-def acceptable(report):
+def acceptable_lines(report):
     """Yield the cases that are acceptable, by the reason."""
     results = [r for r in report.results if r.verdict == "acceptable"]
     for recipe in dict.fromkeys(r.recipe for r in results):
@@ -72,7 +79,7 @@ def acceptable(report):
         yield f"  {RECIPE_HEAD}: {recipe}" if recipe else "  another answer is defensible here"
 
 
-def divergence(report):
+def divergence_lines(report):
     """Yield the first wrong case with its explanation, then a line or two a subject."""
     first, required = report.first, [r.verdict for r in report.results if r.required]
     if first:

@@ -59,20 +59,20 @@ def dump(arrays, metadata=None):
 def record_of(array):
     """Return {dtype, shape} of an array and its bytes; `array_of` undoes it."""
     dtype = NAMES.get(array.dtype.newbyteorder("<"))
-    require(dtype, "dtype", f"expected one of {', '.join(DTYPES)}, got {array.dtype}")
+    require_tensor(dtype, "dtype", f"expected one of {', '.join(DTYPES)}, got {array.dtype}")
     return {"dtype": dtype, "shape": list(array.shape)}, array.astype(DTYPES[dtype]).tobytes()
 
 
 def load(data):
     """Return every tensor in the bytes of a file, {name: array}. Raises TensorError."""
     length = int.from_bytes(data[:8], "little") if len(data) >= 8 else 0
-    require(
+    require_tensor(
         length <= MAX_HEADER_BYTES,
         "header",
         f"expected a length of at most {MAX_HEADER_BYTES} bytes, got {length}",
     )
     header, body, arrays = json_object(data[8 : 8 + length]), memoryview(data)[8 + length :], {}
-    require(
+    require_tensor(
         header is not None and 8 + length <= len(data),
         "header",
         "expected its length in 8 bytes and a JSON object",
@@ -80,7 +80,7 @@ def load(data):
     header.pop("__metadata__", None)
     for name, record in header.items():
         offsets: Any = record.get("data_offsets") if isinstance(record, dict) else None
-        require(
+        require_tensor(
             naturals(offsets) and len(offsets) == 2,
             f"{name}.data_offsets",
             "expected two integers, none of them negative",
@@ -92,29 +92,29 @@ def load(data):
 def array_of(name, record, data):
     """Return the array that `dtype` and `shape` of a record describe. Raises TensorError."""
     code, shape = DTYPES.get(str(record.get("dtype"))), record.get("shape")
-    require(
+    require_tensor(
         code,
         f"{name}.dtype",
         f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why",
     )
-    require(
+    require_tensor(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
         f"{name}.shape",
         "expected a list of integers, none of them negative",
     )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
-    require(
+    require_tensor(
         len(data) == size,
         name,
         f"expected {size} bytes for {record['dtype']} {shape}, got {len(data)}",
     )
-    require(
+    require_tensor(
         code != "|b1" or not bytes(data).strip(b"\0\1"), name, "expected bytes 0 and 1 for BOOL"
     )
     return np.frombuffer(data, code).reshape(shape)
 
 
-def require(condition, where, expected):
+def require_tensor(condition, where, expected):
     """Raise a TensorError unless the condition holds."""
     if not condition:
         raise TensorError(shorten(f"{where}: {expected}"))

@@ -69,7 +69,7 @@ def judge(row, good, decode):
         explanation = f"accepted a stream that must be refused: {row['says']}"
     if good and (arrays or refused is None):
         entries = {entry["name"]: entry for entry in row["arrays"]}
-        want = {name: stored(row, entries[name]) for name in BLAMED if name in entries}
+        want = {name: read_expected(row, entries[name]) for name in BLAMED if name in entries}
         # A decoder that stops half-way lacks arrays; those that it has say where it goes wrong.
         findings = sorted(differences(want, arrays), key=lambda f: f.kind == "missing")
     if not findings and not explanation:
@@ -80,7 +80,7 @@ def judge(row, good, decode):
     )
 
 
-def stored(row, entry):
+def read_expected(row, entry):
     """Return an array of a good stream from its file of expected numbers."""
     shape, kind, at = entry["shape"], entry["type"], entry["offset"]
     count = int(np.prod(shape))

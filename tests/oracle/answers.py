@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from p4dgs_ref.oracle import published, safetensors
-from p4dgs_ref.oracle.compare import cast, expected
+from p4dgs_ref.oracle.compare import cast, expected_tensors
 from tests.workshop.subjects import subjects
 
 
@@ -37,7 +37,9 @@ def in_precision(tensors, dtype):
 def right(key, dtype=np.float64):
     """What a right port writes for one subject, {"ordinary/out.x": array}."""
     cases = published.cases(key)
-    answers = {f"{case.name}/{n}": a for case in cases for n, a in expected(case.tensors).items()}
+    answers = {
+        f"{case.name}/{n}": a for case in cases for n, a in expected_tensors(case.tensors).items()
+    }
     return in_precision(answers, dtype)
 
 

@@ -6,12 +6,12 @@ from scipy.special import erf
 
 from p4dgs_ref import EQUATIONS, oracle
 from p4dgs_ref.oracle import checker, doctor, published, tolerance
-from p4dgs_ref.oracle.compare import compare, expected
+from p4dgs_ref.oracle.compare import compare, expected_tensors
 from tests.oracle.answers import Port, in_precision
 from tests.sampling import few
 from tests.workshop.rewriting import edited
 
-MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known(key)]
+MISTAKES = [mistake for key in published.subjects() for mistake in doctor.known_mistakes(key)]
 BOTH = ("out.", "in_bar.")
 
 
@@ -24,7 +24,7 @@ def patient(mistake, roles=BOTH, others=()):
     def compute(case, _):
         wrong = mistake.answers.get(case.name, {})
         wrong = {name: a for name, a in wrong.items() if name.startswith(roles)}
-        got = expected(case.tensors) | wrong
+        got = expected_tensors(case.tensors) | wrong
         return {n: a + 1 for n, a in got.items()} if case.name in others else got
 
     return Port(compute)
@@ -42,7 +42,7 @@ def told(key, answer, dtype=np.float64):
     answers = []
     for case in published.cases(key):
         with np.errstate(all="ignore"):
-            got = in_precision(expected(case.tensors) | answer(case), dtype)
+            got = in_precision(expected_tensors(case.tensors) | answer(case), dtype)
         answers.append((case, got, wrong_names(case, got, np.dtype(dtype).name)))
     assert any(wrong for *_, wrong in answers)
     return doctor.diagnose(key, answers)
@@ -123,7 +123,7 @@ def cell_before_the_last_node(case):
 def mean_over_all_entries(case):
     entries = sum(a.size for name, a in case.tensors.items() if name.startswith("in.bits_"))
     with np.errstate(all="ignore"):
-        right = expected(case.tensors).items()
+        right = expected_tensors(case.tensors).items()
         return {name: np.asarray(a / np.float64(entries)) for name, a in right}
 
 
@@ -239,7 +239,7 @@ QUANTITIES = [
     for quantity in dict.fromkeys(
         name.rsplit(".", name.count(".") - 1)[0]
         for case in published.cases(key)
-        for name, a in expected(case.tensors).items()
+        for name, a in expected_tensors(case.tensors).items()
         if a.dtype.kind == "f"
     )
 ]
@@ -249,7 +249,7 @@ def times(quantity, factor):
     """An answer with one quantity, a list too, multiplied by a factor."""
 
     def answer(case):
-        tensors = expected(case.tensors).items()
+        tensors = expected_tensors(case.tensors).items()
         return {n: factor * a for n, a in tensors if (n + ".").startswith(quantity + ".")}
 
     return answer

@@ -8,7 +8,7 @@ import pytest
 
 from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.checker import Report, check_subject, judge_answer
-from p4dgs_ref.oracle.compare import cast, change_floats, expected
+from p4dgs_ref.oracle.compare import cast, change_floats, expected_tensors
 from p4dgs_ref.oracle.report import as_json
 from tests.oracle.answers import Port
 from tests.sampling import few
@@ -62,7 +62,7 @@ def test_a_wrong_port_is_found(mistake):
 def test_a_tensor_that_is_not_judged_is_asked_for_all_the_same(key):
     """Its name, its shape, finite numbers, and a coarse bound."""
     for case in published.cases(key):
-        right = cast(expected(case.tensors), np.float32)
+        right = cast(expected_tensors(case.tensors), np.float32)
         wide = case.not_judged("float32") if case.tolerance("float32") else ()
         for name in wide:
             a = right[name]

@@ -9,7 +9,7 @@ from p4dgs_ref import oracle
 from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
-from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.compare import expected_tensors
 from tests.oracle.answers import case_of, in_precision, write
 from tests.sampling import few
 from tests.workshop import vectors
@@ -65,7 +65,7 @@ ACCEPTABLE = [
 @pytest.mark.parametrize("id, dtype", ACCEPTABLE)
 def test_a_case_with_several_right_answers_takes_those_alone(id, dtype):
     case = case_of(id)
-    right = in_precision(expected(case.tensors), dtype)
+    right = in_precision(expected_tensors(case.tensors), dtype)
 
     def verdict(name, wrong):
         result = checker.judge_answer(case, {**right, **in_precision({name: wrong}, dtype)})
@@ -85,7 +85,7 @@ def test_a_case_with_several_right_answers_takes_those_alone(id, dtype):
 
 RANGES = [
     (id, precision, name.removeprefix("range."))
-    for (id, precision), tensors in scales.measured().items()
+    for (id, precision), tensors in scales.printed_arrays().items()
     for name in tensors
     if name.startswith("range.")
 ]
@@ -95,8 +95,8 @@ RANGES = [
 def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
     """A finite number is judged there too: only 0, infinities and NaN are what overflow leaves."""
     case = case_of(id)
-    right = in_precision(expected(case.tensors), precision)
-    lost, a = scales.measured()[id, precision][f"range.{name}"], right[name]
+    right = in_precision(expected_tensors(case.tensors), precision)
+    lost, a = scales.printed_arrays()[id, precision][f"range.{name}"], right[name]
     finite = [np.where(a == 0, 1, factor * a).astype(precision) for factor in (-1, 0.5)]
     # A float64 tensor among float32 ones has the range of float64.
     mixed = np.full(a.shape, np.nan) if precision == "float32" else finite[0]
@@ -114,7 +114,7 @@ def test_beyond_the_range_only_lost_numbers_are_accepted(id, precision, name):
 @pytest.mark.parametrize("name", ["H-G3.1e4px", "H-G4.scale1e30"])
 def test_what_float32_culls_is_zero_in_all_tensors_or_wrong(name):
     case = case_of(f"projection/{name}")
-    right = in_precision(expected(case.tensors), "float32")
+    right = in_precision(expected_tensors(case.tensors), "float32")
     culled = {n: np.zeros_like(a) for n, a in right.items()}
     assert checker.judge_answer(case, culled).verdict == "acceptable"
     for got, changes in (right, {"out.visible": ~right["out.visible"]}), (culled, right):
@@ -127,11 +127,13 @@ def test_what_float32_culls_is_zero_in_all_tensors_or_wrong(name):
 
 # --- the data -----------------------------------------------------------------------------------
 def test_only_subjects_with_a_recipe_have_wider_scales():
-    cases = {id for id, _ in scales.measured()}
+    cases = {id for id, _ in scales.printed_arrays()}
     assert {id.split("/")[0] for id in cases} <= set(scales.RECIPES)
-    for id, precision in scales.measured():
+    for id, precision in scales.printed_arrays():
         case = case_of(id)
-        wide = scales.as_printed(case, in_precision(expected(case.tensors), precision))[0].tensors
+        wide = scales.printed_form(case, in_precision(expected_tensors(case.tensors), precision))[
+            0
+        ].tensors
         for name, S in case.tensors.items():
             if name.startswith("scale."):
                 assert wide[name].shape == S.shape and (wide[name] >= S).all()
@@ -160,6 +162,6 @@ def test_what_is_not_asked_in_float32(key):
     for case in published.cases(key):
         assert not case.not_judged("float64")
         if "since" not in case.record and case.tolerance("float32"):
-            every = list(expected(case.tensors))
+            every = list(expected_tensors(case.tensors))
             listed = NOT_ASKED.get(case.id, [])
             assert case.not_judged("float32") == (every if listed is None else listed), case.id

@@ -12,7 +12,7 @@ import pytest
 from p4dgs_ref.codec.container import BitstreamError
 from p4dgs_ref.codec.file import quantised_of
 from p4dgs_ref.oracle import checker, safetensors, streams
-from p4dgs_ref.oracle.adapter import Adapter, packed
+from p4dgs_ref.oracle.adapter import Adapter, pack
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.sampling import few
 from tests.workshop import decoded
@@ -27,7 +27,7 @@ DECODER = """
 import base64, json, sys
 sys.path.insert(0, ROOT)
 from p4dgs_ref.codec.container import BitstreamError
-from p4dgs_ref.oracle.adapter import packed
+from p4dgs_ref.oracle.adapter import pack
 from tests.workshop.decoded import decoded
 for text in sys.stdin:
     request = json.loads(text)
@@ -35,7 +35,7 @@ for text in sys.stdin:
     if "stream" in request:
         try:
             arrays = decoded(base64.b64decode(request["stream"]))
-            answer["arrays"] = {name: packed(a) for name, a in arrays.items()}
+            answer["arrays"] = {name: pack(a) for name, a in arrays.items()}
         except BitstreamError as error:
             answer["refused"] = str(error)
     print(json.dumps(answer), flush=True)
@@ -261,7 +261,7 @@ def test_a_decoder_that_fails_shows_what_it_has_so_far(folder):
 def test_a_process_may_refuse_with_the_arrays_so_far(monkeypatch, arrays):
     answer = {"refused": "final state"}
     if arrays:
-        answer["arrays"] = {name: packed(a) for name, a in arrays.items()}
+        answer["arrays"] = {name: pack(a) for name, a in arrays.items()}
     monkeypatch.setattr(Adapter, "_ask", lambda *_: answer)
     got, refused = Adapter([sys.executable]).decode("full", b"")
     assert refused == "final state" and got.keys() == arrays.keys()

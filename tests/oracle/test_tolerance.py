@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.oracle import checker
-from p4dgs_ref.oracle.compare import expected
+from p4dgs_ref.oracle.compare import expected_tensors
 from tests.oracle.answers import case_of, in_precision
 
 EPS = {"float64": 2.0**-52, "float32": 2.0**-23}
@@ -46,6 +46,6 @@ def test_all_pixels_may_be_off_by_nine_tenths_of_their_bound_but_not_by_eleven(p
 
 def verdict_of(case, name, error, precision):
     """Return the verdict on a right answer with an error in one tensor."""
-    right = in_precision(expected(case.tensors), precision)
+    right = in_precision(expected_tensors(case.tensors), precision)
     wrong = (case.tensors[name] + error).astype(precision)
     return checker.judge_answer(case, right | {name: wrong}).verdict

@@ -11,7 +11,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from p4dgs_ref.oracle import published, tolerance
-from p4dgs_ref.oracle.compare import cast, expected
+from p4dgs_ref.oracle.compare import cast, expected_tensors
 from p4dgs_ref.splatting.table import EQUATIONS
 from tests.workshop import shape_comments
 from tests.workshop.cases import Case, cases_of
@@ -96,7 +96,7 @@ def closed_form(case):
     if case.record["provenance"] != "closed form":
         return {}
     others = case.record.get("reference", ())
-    known = {name: a for name, a in expected(case.tensors).items() if name not in others}
+    known = {name: a for name, a in expected_tensors(case.tensors).items() if name not in others}
     return {n.split(".")[1] + "_bar" * n.startswith("in_bar."): a for n, a in known.items()}
 
 

@@ -42,7 +42,7 @@ rows = {row["name"]: row for row in streams.read_rows()["good"]}
 full_row = rows["full"]
 stored = {}
 for array in full_row["arrays"]:
-    stored[array["name"]] = streams.stored(full_row, array)
+    stored[array["name"]] = streams.read_expected(full_row, array)
 stream = (streams.STREAMS / "full.p4dgs").read_bytes()
 full = quantised_of(read_container(stream)).model
 layers = context.integer_layers(*full.networks["psi_p"])

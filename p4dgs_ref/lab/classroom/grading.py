@@ -13,7 +13,7 @@ import numpy as np
 
 from ...lessons import exercise_cases, problem
 from ...oracle import published, tolerance
-from ...oracle.compare import change_floats, compare, expected
+from ...oracle.compare import change_floats, compare, expected_tensors
 from ...oracle.ports import PortError
 from ...splatting.table import EQUATIONS
 from ..writer import text_table
@@ -98,7 +98,7 @@ def marks(key, student, cases):
     right = {part: [] for part in SHARES}
     for case in cases:
         wrong = set().union(*(wrong_in(case, student, part) for part in parts_of(key)))
-        for name in expected(case.tensors):
+        for name in expected_tensors(case.tensors):
             ordinary = "forward" if name.startswith("out.") else "gradients"
             right[ordinary if is_ordinary(case) else "hard cases"].append(name not in wrong)
     return {part: (sum(answers), len(answers)) for part, answers in right.items() if answers}
@@ -106,7 +106,7 @@ def marks(key, student, cases):
 
 def wrong_in(case, student, part):
     """Return the names of the outputs or gradients of a case that are wrong or missing."""
-    asked = {name for name in expected(case.tensors) if name.startswith(ROLES[part])}
+    asked = {name for name in expected_tensors(case.tensors) if name.startswith(ROLES[part])}
     try:
         findings = compare(case.tensors, student.part(part).run(case), case.tolerance("float64"))
     except PortError:

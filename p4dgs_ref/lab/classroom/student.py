@@ -21,7 +21,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 
 from ...lessons import WrongForm, gradients_of, outputs_of
-from ...oracle.adapter import Adapter, packed, unpacked
+from ...oracle.adapter import Adapter, pack, unpack
 from ...oracle.ports import FunctionPort, PortError
 from ...oracle.published import Golden
 from ...splatting.table import EQUATIONS
@@ -158,7 +158,7 @@ def answer(eq, request):
     tensors = {
         f"{role}.{name}": a
         for role in ("in", "out_bar")
-        for name, a in unpacked(request, role).items()
+        for name, a in unpack(request, role).items()
     }
     case = Golden(request["id"], "", eq.key, eq.key, "", request, tensors)
 
@@ -179,5 +179,5 @@ def answer(eq, request):
     fields = {"out": {}, "in_bar": {}}
     for name, array in port.answer(case).items():
         role, _, name = name.partition(".")
-        fields[role][name] = packed(array)
+        fields[role][name] = pack(array)
     return fields
