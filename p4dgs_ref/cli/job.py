@@ -113,7 +113,7 @@ def train(arguments):
         refuse_existing(Path(arguments.output) / CHECKPOINT, HOW_TO_RESUME)
     scene = load(arguments)
     if arguments.points:
-        scene = replace(scene, points=read_points_for(scene, arguments.points))
+        scene = replace(scene, points=read_points_for(scene.source, arguments.points))
     if not resume:
         estimate(arguments, scene, preset)
         if "effects" not in read_scene_json(scene.source):

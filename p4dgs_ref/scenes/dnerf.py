@@ -1,8 +1,10 @@
 """Reads scenes in the layout of D-NeRF and of instant-ngp: transforms*.json beside pictures.
 
-D-NeRF has transforms_train.json and transforms_test.json. A capture has transforms.json alone: of
-its pictures, sorted by name, the first and every eighth after it are for testing, the others for
-training. Where no frame has a time, nothing moves: all times are 0.
+D-NeRF has transforms_train.json and transforms_test.json; without the latter, the views of
+transforms_val.json are for testing. A capture has one file alone, transforms.json or one of these:
+of its pictures, sorted by name, the first and every eighth after it are for testing, the others for
+training. Frames of a capture whose picture is missing are left out, unless more than half are. If
+no frame has a time, nothing moves: all times are 0.
 
 The files count pixels from the corner of the image, and their cameras look along -z with y up, as
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
@@ -10,8 +12,8 @@ in OpenGL. Ours count from the centre of the first pixel and look along +z with 
 camera-to-world matrix change their sign.
 
 The fields that are used are those of HEAD and FRAME, and `time`. Other fields get a warning, unless
-their value changes nothing (`off`). A frame may have a lens of its own. Focal lengths and the
-principal point are pixels of an image of w x h; where the pictures have another size, they are
+their value changes nothing (`is_neutral`). A frame may have a lens of its own. Focal lengths and
+the principal point are pixels of an image of w x h; if the pictures have another size, they are
 scaled. Distortion by k1, k2, p1 and p2 is removed from the pictures, by the formula in `hypernerf`;
 other lenses are refused.
 """
@@ -31,12 +33,12 @@ from .fields import (
     fields,
     list_of,
     numbers,
-    require,
+    require_field,
     shown,
     text,
-    typed,
+    value_of_type,
 )
-from .files import CAPTURE, make_view, read_image, read_json
+from .files import CAPTURE, find_picture, make_view, read_image, read_json
 from .scene import FOCAL, NUMBER, PRINCIPAL, SHARE, rotation
 
 # Signs of the columns of a camera-to-world matrix: right stays, up becomes down, back forward.
@@ -44,9 +46,9 @@ OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 
 
 def world_to_camera(value, where):
-    """R and T from world to camera in OpenCV axes, from the matrix of a file."""
+    """Return r and T from world to camera in OpenCV axes, from the matrix of a file."""
     c2w = NUMBER(value, where, shape=(4, 4))
-    require(
+    require_field(
         np.allclose(c2w[3], (0, 0, 0, 1)),
         where,
         "the last row is not 0 0 0 1; expected a rigid camera-to-world matrix",
@@ -55,8 +57,8 @@ def world_to_camera(value, where):
     return R, -R @ c2w[:3, 3]
 
 
-def off(value):
-    """Whether a field changes nothing: 0, false, null, empty, all zeros or an identity matrix."""
+def is_neutral(value):
+    """Return whether a field changes nothing: 0, false, null, empty, zeros or an identity."""
     with suppress(ValueError, TypeError, OverflowError):  # texts, objects, integers of 400 digits
         entries = np.array(value or 0, float)
         # For a matrix this is eye(n, m, 0); for a list it is eye(n, 0), which is empty, not n x n.
@@ -64,17 +66,17 @@ def off(value):
     return False
 
 
-def only_off(value, where):
+def require_neutral(value, where):
     """Refuse a field of another lens."""
-    require(
-        off(value),
+    require_field(
+        is_neutral(value),
         where,
         f"{shown(value)}; expected 0 or no such field; undistort the pictures of such a lens first",
     )
 
 
 def optional(names, check, default=None, **settings):
-    """The rows of fields that may be missing."""
+    """Return the rows of fields that may be missing."""
     return dict.fromkeys(names.split(), (partial(check, **settings), default))
 
 
@@ -86,49 +88,73 @@ LENS = {
     **optional("w h", numbers, low=1, high=MAX_LENS),
     **optional("k1 k2 p1 p2", PRINCIPAL, default=0.0),
     **optional("camera_model", choice, words=PINHOLES),
-    **optional("k3 k4 k5 k6 distortion_params skew is_fisheye latlong equirectangular", only_off),
+    **optional(
+        "k3 k4 k5 k6 distortion_params skew is_fisheye latlong equirectangular", require_neutral
+    ),
 }
 FRAME = {"file_path": (text, REQUIRED), "transform_matrix": (world_to_camera, REQUIRED)}
-HEAD = {"frames": (partial(list_of, check=partial(typed, kind=dict)), REQUIRED), **LENS}
+HEAD = {"frames": (partial(list_of, check=partial(value_of_type, kind=dict)), REQUIRED), **LENS}
 USED = {*HEAD, *FRAME, "time", "rotation"}  # D-NeRF writes a rotation, but nobody reads it
 
 
-def read(folder, color, downscale, progress):
-    """The views of both splits and whether nothing moves: {"train", "test", "still"}.
+def find_views(folder, downscale):
+    """Return {"train", "test", "still"}: the readers of both splits, and whether nothing moves.
 
-    Every field is checked before the first picture is read.
+    Every field is checked. A reader is called with the background and with notes (`read_image`),
+    and returns the View.
     """
-    files = [folder / f"transforms_{split}.json" for split in ("train", "test")]
-    is_capture = os.path.lexists(folder / CAPTURE) and not os.path.lexists(files[0])
-    if is_capture:
-        files = [folder / CAPTURE]
+    files = find_files(folder)
     heads = [read_head(file) for file in files]
     still = not any("time" in frame for head in heads for frame in head.frames)
     frames = [
-        read_frame(frame, f"{file}: frames[{i}]", head, still)
+        [
+            read_frame(frame, f"{file}: frames[{i}]", head, still)
+            for i, frame in enumerate(head.frames)
+        ]
         for file, head in zip(files, heads)
-        for i, frame in enumerate(head.frames)
     ]
-    if is_capture:
-        frames.sort(key=lambda frame: frame.file_path)
-    train, test = [], []
-    for i, frame in enumerate(frames):
-        progress(i, len(frames))
-        is_test = not i % 8 if is_capture else i >= len(heads[0].frames)
-        (test if is_test else train).append(read_view(folder, frame, color, downscale))
+    if len(files) == 1:
+        kept = sorted(
+            frames_with_picture(folder, files[0], *frames), key=lambda frame: frame.file_path
+        )
+        frames = [[frame for i, frame in enumerate(kept) if i % 8], kept[::8]]
+    train, test = (
+        [partial(read_view, folder, frame, downscale) for frame in split] for split in frames
+    )
     return {"train": train, "test": test, "still": still}
 
 
+def find_files(folder):
+    """Return the transforms files of training and testing, or the one file that there is."""
+    splits = [folder / f"transforms_{split}.json" for split in ("train", "test", "val")]
+    present = [file for file in splits if os.path.lexists(file)]
+    if splits[0] in present:
+        return present[:2]
+    if os.path.lexists(folder / CAPTURE):
+        return [folder / CAPTURE]
+    return present if len(present) == 1 else splits[:2]  # the first is missing: reading it says so
+
+
+def frames_with_picture(folder, file, frames):
+    """Return the frames of a capture whose picture exists; one line says how many do not."""
+    kept = [frame for frame in frames if find_picture(folder, *picture_of(frame))]
+    missing = f"{len(frames) - len(kept)} of {len(frames)} frames have no picture in {folder}"
+    require_field(2 * len(kept) >= len(frames), file, f"{missing}; expected one for at least half")
+    if len(kept) < len(frames):
+        warnings.warn(f"{file}: {missing} and are left out")
+    return kept
+
+
 def read_head(file):
-    """The checked fields of a transforms file, but for those of its frames."""
+    """Read the checked fields of a transforms file, but for those of its frames."""
     content = read_json(file)
     head = fields(content, file, HEAD, others=True)
-    require(head.frames, f"{file}: frames", "empty; expected at least one view")
+    require_field(head.frames, f"{file}: frames", "empty; expected at least one view")
     unread = {
         shown(name)
         for entries in (content, *head.frames)
         for name, value in entries.items()
-        if name not in USED and not off(value)
+        if name not in USED and not is_neutral(value)
     }
     if unread:
         warnings.warn(f"{file}: fields that are not read: {', '.join(sorted(unread))}")
@@ -136,11 +162,11 @@ def read_head(file):
 
 
 def read_frame(frame, where, head, still):
-    """The checked fields of a frame, and `where` it stands; a field that it lacks is the file's."""
+    """Return the checked fields of a frame, and `where` it is; what it lacks is the file's."""
     lens = {name: (check, getattr(head, name)) for name, (check, _) in LENS.items()}
     time = {"time": (SHARE, 0.0 if still else REQUIRED)}
     values = fields(frame, where, {**FRAME, **time, **lens}, others=True)
-    require(
+    require_field(
         values.camera_angle_x or values.fl_x,
         f"{where}.camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
@@ -149,36 +175,44 @@ def read_frame(frame, where, head, still):
     return values
 
 
-def read_view(folder, frame, color, downscale):
-    """One view from its picture."""
-    name, where = frame.file_path.replace("\\", "/"), f"{frame.where}.file_path"
-    image = read_image(folder, name, where)
-    lens = lens_of(frame, *image.shape[1::-1])
+def picture_of(frame):
+    """Return the name of a frame's picture, and where it stands."""
+    return frame.file_path.replace("\\", "/"), f"{frame.where}.file_path"
+
+
+def read_view(folder, frame, downscale, color, notes):
+    """Return one view from its picture."""
+    name, where = picture_of(frame)
+    image, size = read_image(folder, name, where, notes)
+    lens = lens_of(frame, *image.shape[1::-1], size)
     name = name.removeprefix("./").removesuffix(".png")
     return make_view(
-        name, image, lens, *frame.transform_matrix, frame.time, color, downscale, where
+        name, image, lens, *frame.transform_matrix, frame.time, color, downscale, where, notes
     )
 
 
-def lens_of(frame, width, height):
-    """The lens of a frame in pixels of its picture, as `make_view` takes it."""
+def lens_of(frame, width, height, size):
+    """Return the lens of a frame in pixels of its picture, as `make_view` takes it.
+
+    `size` is that of the picture in words.
+    """
     w, h = frame.w or width, frame.h or height
     f_x = frame.fl_x or w / 2 / math.tan(frame.camera_angle_x / 2)
     f_y = frame.fl_y or (frame.camera_angle_y and h / 2 / math.tan(frame.camera_angle_y / 2))
     cx, cy = frame.cx or w / 2, frame.cy or h / 2
     angle = 2 * math.atan(w / 2 / f_x)
-    require(
+    require_field(
         math.isclose(frame.camera_angle_x or angle, angle, rel_tol=0.01),
         f"{frame.where}.camera_angle_x",
         f"{frame.camera_angle_x}; expected {angle:.6g}, by fl_x and pictures of width {w:g} (w and "
         "h say the size that fl_x and fl_y are for)",
     )
-    require(
+    require_field(
         abs(w * height - h * width) < max(w, h)  # less than a pixel of the shorter side
         and (0 < cx < w and 0 < cy < h),
         f"{frame.where}: w, h, cx, cy",
-        f"{w:g}x{h:g}, {cx:g}, {cy:g}; expected the proportions of the picture, {width}x{height} "
-        "pixels, and a place inside",
+        f"{w:g}x{h:g}, {cx:g}, {cy:g}; expected the proportions of the picture, {size}, and a "
+        "place inside",
     )
     # Pixels are square unless the file says otherwise.
     focal, middle = np.array([(f_x, f_y or f_x), (cx, cy)]) / (w / width, h / height)

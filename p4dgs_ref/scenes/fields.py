@@ -38,14 +38,14 @@ class SceneError(ValueError):
         super().__init__(" ".join(shorten(f"{where}: {expected}").split()))
 
 
-def require(condition, where, expected):
+def require_field(condition, where, expected):
     """Raise a SceneError unless the condition holds."""
     if not condition:
         raise SceneError(where, expected)
 
 
 def numbers(value, where, low, high, shape=(), kind=float) -> Any:
-    """An array of that shape, all of whose numbers are from low to high; a number for shape ().
+    """Return an array of that shape with numbers in [low, high]; a number for shape ().
 
     The kind is float or int; true and false are no numbers.
     """
@@ -62,16 +62,16 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
     return values if shape else values.item()
 
 
-def typed(value, where, kind):
-    """A value of a type of Python."""
+def value_of_type(value, where, kind):
+    """Return a value of a type of Python."""
     if not isinstance(value, kind):  # to show a value takes longer than to check it
         raise SceneError(where, f"{shown(value)}; expected a {kind.__name__}")
     return value
 
 
 def text(value, where):
-    """A text that can be printed in one line."""
-    require(
+    """Return a text that can be printed in one line."""
+    require_field(
         isinstance(value, str) and value.isprintable(),
         where,
         f"{value!r:.200}; expected a text without control characters",
@@ -80,8 +80,8 @@ def text(value, where):
 
 
 def choice(value, where, words):
-    """One of some words."""
-    require(
+    """Return one of some words."""
+    require_field(
         isinstance(value, str) and value in words,
         where,
         f"{shown(value)}; expected one of {', '.join(words)}",
@@ -89,20 +89,23 @@ def choice(value, where, words):
     return value
 
 
-def list_of(value, where, check):
-    """A list of checked values."""
-    require(
+def list_of(value, where, check, unique=False):
+    """Return a list of checked values; no two may be equal if they are `unique`."""
+    require_field(
         isinstance(value, Collection) and not isinstance(value, (str, dict)),
         where,
         f"{shown(value)}; expected a list",
     )
-    return [check(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    items = [check(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    if unique and len({*items}) < len(items):
+        raise SceneError(where, f"{shown(items)}; expected each of them once")
+    return items
 
 
 def fields(value, where, table, others=False):
-    """The values of an object as a namespace; `others` allows fields that the table lacks."""
-    unknown = sorted(typed(value, where, dict).keys() - table)
-    require(
+    """Return an object's values as a namespace; `others` allows fields that the table lacks."""
+    unknown = sorted(value_of_type(value, where, dict).keys() - table)
+    require_field(
         others or not unknown,
         where,
         f"unknown field {unknown}; expected some of {', '.join(table)}",
@@ -116,6 +119,6 @@ def fields(value, where, table, others=False):
 
 
 def one_of(value, where, tables):
-    """An object whose field `kind` chooses the table of its other fields."""
-    kind = choice(typed(value, where, dict).get("kind"), f"{where}.kind", tables)
+    """Return an object whose field `kind` chooses the table of its other fields."""
+    kind = choice(value_of_type(value, where, dict).get("kind"), f"{where}.kind", tables)
     return fields(value, where, {"kind": (text, REQUIRED), **tables[kind]})

@@ -1,7 +1,7 @@
 """Reads scenes in the layout of Nerfies, which HyperNeRF and NeRF-DS share.
 
     dataset.json    train_ids and val_ids, the names of the views; their order in `ids`
-    metadata.json   time_id of every view; where there is none, warp_id counts the times
+    metadata.json   time_id of every view; if there is none, warp_id counts the times
     scene.json      center and scale: x in the files is (x - center) scale for us
     camera/ID.json  orientation (world to camera, OpenCV axes) and position of a camera, its lens
     rgb/Nx/ID.png   its picture (or .jpg, .jpeg), both sides divided by N
@@ -31,17 +31,17 @@ from .fields import (
     fields,
     list_of,
     numbers,
-    require,
+    require_field,
     text,
-    typed,
+    value_of_type,
 )
 from .files import make_view, read_image, read_json, read_points
-from .scene import FOCAL, PRINCIPAL, rotation, size_of
+from .scene import FOCAL, PRINCIPAL, rotation
 
 SPLITS = "dataset.json"
 FULL = "the files of a HyperNeRF or NeRF-DS folder"
 PAIR, TRIPLE = partial(PRINCIPAL, shape=(2,)), partial(PRINCIPAL, shape=(3,))
-NAMES = partial(list_of, check=text)
+NAMES = partial(list_of, check=text, unique=True)
 COUNT = partial(numbers, low=0, high=MAX_LENS, kind=int)
 DATASET = dict.fromkeys(("train_ids", "val_ids", "ids"), (NAMES, ()))
 WORLD = {"center": (TRIPLE, REQUIRED), "scale": (FOCAL, REQUIRED)}
@@ -59,8 +59,8 @@ CAMERA = {
 }
 
 
-def read(folder, color, downscale, progress):
-    """The views of both splits and the points, {"train": ..., "test": ..., "points": ...}.
+def find_views(folder, downscale):
+    """Return {"train", "test", "points"}: the readers of both splits, as `dnerf` has, and points.
 
     `downscale` divides the sides of the largest pictures that the folder has.
     """
@@ -68,19 +68,18 @@ def read(folder, color, downscale, progress):
     times = read_times(folder, splits["train"] + splits["test"])
     ratio, rest = choose_pictures(folder, downscale)
     points = place(folder, read_points(folder / "points.npy"))
-    lenses = {name: read_camera(folder, name) for name in times}
-    views = {}
-    for name, lens in lenses.items():
-        progress(len(views), len(lenses))
-        views[name] = read_view(folder, name, lens, times[name], ratio, rest, color)
+    readers = {
+        name: partial(read_view, folder, name, read_camera(folder, name), time, ratio, rest)
+        for name, time in times.items()
+    }
     return {
-        **{split: [views[name] for name in names] for split, names in splits.items()},
+        **{split: [readers[name] for name in names] for split, names in splits.items()},
         "points": points,
     }
 
 
 def read_splits(folder):
-    """The names of the views of both splits.
+    """Read the names of the views of both splits.
 
     They are train_ids and val_ids. Where val_ids is empty, as in scenes that test interpolation in
     time, of every four `ids` the first is for training and the third for testing.
@@ -89,7 +88,7 @@ def read_splits(folder):
     listed = fields(read_json(file, FULL), file, DATASET, others=True)
     splits = [listed.train_ids, listed.val_ids]
     train, test = splits if listed.val_ids else [listed.ids[::4], listed.ids[2::4]]
-    require(
+    require_field(
         train and test and not {*train} & {*test},
         file,
         "expected train_ids and val_ids without a common view, or at least three ids",
@@ -98,11 +97,11 @@ def read_splits(folder):
 
 
 def read_times(folder, names):
-    """The time in [0, 1] of every view by its name: its time_id over the largest of all."""
+    """Read the time in [0, 1] of every view by its name: its time_id over the largest of all."""
     file = folder / "metadata.json"
     moments, numbered = read_json(file, FULL), {}
     for name in names:
-        moment = typed(moments.get(name, REQUIRED), f"{file}: {name}", dict)
+        moment = value_of_type(moments.get(name, REQUIRED), f"{file}: {name}", dict)
         number = moment.get("time_id", moment.get("warp_id", REQUIRED))
         numbered[name] = COUNT(number, f"{file}: {name}.time_id")
     last = max(1, *numbered.values())
@@ -110,24 +109,24 @@ def read_times(folder, names):
 
 
 def choose_pictures(folder, downscale):
-    """The N of the folder rgb/Nx to read, and by what the sides of its pictures are divided.
+    """Return the N of the folder rgb/Nx to read, and by what its pictures' sides are divided.
 
-    Smaller pictures are taken where the folder has them; pixels are averaged for the rest.
+    Smaller pictures are taken if the folder has them; pixels are averaged for the rest.
     """
     names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
     ratios = [int(name) for name in names if name.isdecimal() and len(name) < 9]
-    require(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
+    require_field(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)
     return ratio, wanted // ratio
 
 
 def place(folder, x):
-    """Points [A, 3] in the coordinates of a folder's files, in scene units."""
+    """Return points [A, 3] in the coordinates of a folder's files, in scene units."""
     file = folder / "scene.json"
     world = fields(read_json(file, FULL), file, WORLD, others=True)
     placed = (x - world.center) * world.scale
-    require(
+    require_field(
         np.all(np.abs(placed) <= MAX_COORDINATE),
         f"{file}: scale",
         f"puts a camera or point beyond {MAX_COORDINATE:g}; expected less",
@@ -136,7 +135,7 @@ def place(folder, x):
 
 
 def read_camera(folder, name):
-    """The fields of a view's camera file."""
+    """Read the fields of a view's camera file."""
     file = folder / "camera" / f"{name}.json"
     data = read_json(file, f"the camera of the view {name}")
     if "tangential" in data:  # the name in older files
@@ -144,21 +143,21 @@ def read_camera(folder, name):
     return fields(data, file, CAMERA, others=True)
 
 
-def read_view(folder, name, lens, time, ratio, downscale, color):
-    """One view from its picture in rgb/<ratio>x, whose sides are then divided by `downscale`."""
+def read_view(folder, name, lens, time, ratio, downscale, color, notes):
+    """Return one view from its picture in rgb/<ratio>x, its sides then divided by `downscale`."""
     file = f"rgb/{ratio}x/{name}"
     where = f"{folder}: {file}"
-    image = read_image(folder, file, where)
+    image, shown = read_image(folder, file, where, notes)
     size = np.array(image.shape[1::-1])
-    require(
+    require_field(
         np.all(np.abs(lens.image_size - ratio * size) < ratio),
         where,
-        f"{size_of(image)} pixels; expected 1/{ratio} of image_size in camera/{name}.json",
+        f"{shown}; expected 1/{ratio} of image_size in camera/{name}.json",
     )
-    stride = lens.image_size / size  # not exactly `ratio` where it does not divide the sides
+    stride = lens.image_size / size  # not exactly `ratio` if it does not divide the sides
     focal = lens.focal_length * np.array([1, lens.pixel_aspect_ratio]) / stride
     middle = lens.principal_point / stride
     bent = focal, middle, lens.radial_distortion, lens.tangential_distortion
     R = lens.orientation
     T = -R @ place(folder, lens.position)
-    return make_view(name, image, bent, R, T, time, color, downscale, where)
+    return make_view(name, image, bent, R, T, time, color, downscale, where, notes)

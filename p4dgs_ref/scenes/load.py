@@ -2,13 +2,17 @@
 
 import os
 import warnings
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..effects import MOTION
 from . import dnerf, hypernerf
-from .fields import MAX_LENS, numbers, require
+from .fields import MAX_LENS, numbers, require_field
 from .files import read_json, read_points
 from .scene import WHITE, Scene, background_color, model_effects
 
@@ -23,70 +27,104 @@ def load_scene(
 ) -> Scene:
     """Read a scene from a folder, or one of the packaged scenes by its name.
 
-    A folder of the same name is preferred to a packaged scene. RGBA pictures are laid over the
+    A folder of the same name is preferred to a packaged scene; a .json in a folder stands for the
+    folder. RGBA pictures are laid over the
     colour `background` [3]. `downscale` divides both sides of the images: pixels are averaged in
     boxes, and less than a box at the right and below is cut off. `progress(done, total)` is called
     before every picture. A scene.json in the folder may list the scene's `effects`; without that
-    list a scene has all of the model's, or none of motion where no picture has a time. `dnerf` and
+    list a scene has all of the model's, or none of motion if no picture has a time. `dnerf` and
     `hypernerf` describe the layouts that are read. Raises SceneError with one line that names the
-    file, the field and what was expected. Warns of fields that are not read, of colours that look
-    as if they were multiplied by alpha, and where no picture has a time.
+    file, the field and what was expected. Warns, once for all pictures, of fields that are not
+    read, of frames without a picture, of orientations in EXIF, of colours that look as if they were
+    multiplied by alpha, and if no picture has a time.
     """
+    return find_views(path, background, downscale).read(progress)
+
+
+@dataclass
+class SceneFiles:
+    """A scene whose files are found and checked, and whose pictures are not read yet."""
+
+    folder: Path
+    effects: Collection[str]
+    background: np.ndarray
+    train: list  # of functions that read a View
+    test: list
+    points: np.ndarray | None = None
+
+    def read(self, progress):
+        """Read all pictures and return the Scene."""
+        notes, total, views = Counter(), len(self.train) + len(self.test), []
+        for done, read_view in enumerate([*self.train, *self.test]):
+            progress(done, total)
+            views.append(read_view(self.background, notes))
+        for sentence, count in notes.items():
+            if count:
+                warnings.warn(f"{self.folder}: {count} of {total} pictures {sentence}")
+        train, test = views[: len(self.train)], views[len(self.train) :]
+        name = self.folder.resolve().name
+        return Scene(name, train, test, self.effects, self.background, self.folder, self.points)
+
+
+def find_views(path, background=WHITE, downscale=1):
+    """Return the SceneFiles of a path or of the name of a packaged scene; see `load_scene`."""
     folder = find_scene(path)
     downscale = numbers(downscale, "downscale", 1, MAX_LENS, kind=int)
     effects = model_effects(
         read_scene_json(folder).get("effects"), f"{folder / DESCRIPTION}: effects"
     )
     color = background_color(background, effects, folder)
-    read = hypernerf.read if is_hypernerf(folder) else dnerf.read
-    views = read(folder, color, downscale, progress)
+    layout = hypernerf if is_hypernerf(folder) else dnerf
+    views = layout.find_views(folder, downscale)
     if views.pop("still", False):
         warnings.warn(f"{folder}: no picture has a time: all times are 0, and nothing moves")
         effects = {*effects} - {*MOTION}
-    return Scene(folder.resolve().name, effects=effects, background=color, source=folder, **views)
+    return SceneFiles(folder, effects, color, **views)
 
 
 def is_hypernerf(folder):
-    """Whether a folder has the files of HyperNeRF and NeRF-DS rather than those of D-NeRF."""
+    """Return whether a folder has the files of HyperNeRF and NeRF-DS, not those of D-NeRF."""
     return not os.path.lexists(folder / "transforms_train.json") and os.path.lexists(
         folder / hypernerf.SPLITS
     )
 
 
-def read_points_for(scene, path):
-    """The points of a file, in the units of a scene.
+def read_points_for(folder, path):
+    """Return the points of a file, in the units of the scene in a folder.
 
     A file for a HyperNeRF or NeRF-DS scene has the coordinates of that scene's own files.
     """
     points = read_points(path)
-    return hypernerf.place(scene.source, points) if is_hypernerf(scene.source) else points
+    return hypernerf.place(folder, points) if is_hypernerf(folder) else points
 
 
 def read_scene_json(folder: Path) -> dict:
-    """The scene.json of a scene's folder; empty where there is none."""
+    """Read the scene.json of a scene's folder; empty if there is none."""
     file = folder / DESCRIPTION
     return read_json(file) if os.path.lexists(file) else {}
 
 
 def packaged_folder() -> Path:
-    """The folder of the packaged scenes: package data, or tiny_scenes at the top of a checkout."""
+    """Return the folder of the packaged scenes: package data, or tiny_scenes of a checkout."""
     package = Path(__file__).resolve().parents[1]
     installed = package / "tiny_scenes"
     return installed if installed.is_dir() else package.parent / "tiny_scenes"
 
 
 def packaged_scenes() -> list[str]:
-    """The names of the packaged scenes."""
+    """Return the names of the packaged scenes."""
     return sorted(file.parent.name for file in packaged_folder().glob("*/scene.json"))
 
 
 def find_scene(path):
-    """The folder that a path or the name of a packaged scene stands for."""
+    """Return the folder that a path or the name of a packaged scene stands for."""
     folder = Path(path)
+    if folder.suffix == ".json" and folder.is_file():
+        folder = folder.parent
     if folder.is_dir():
         return folder
     names = packaged_scenes()
-    require(
+    require_field(
         str(path) in names,
         folder,
         f"no such folder; expected one, or a packaged scene: {', '.join(names)}",

@@ -21,7 +21,7 @@ from .fields import (
     fields,
     list_of,
     numbers,
-    require,
+    require_field,
 )
 
 # The closed lists of effects. The simulator knows the effects of the model and three of its own.
@@ -45,7 +45,7 @@ def rotation(value, where):
     """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
     R = numbers(value, where, -MAX_COORDINATE, MAX_COORDINATE, (3, 3))
     error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
-    require(
+    require_field(
         error <= ROTATION_TOLERANCE and determinant > 0,
         where,
         f"off orthonormal by {error:.2g}, determinant {determinant:.2g}; expected a rotation "
@@ -110,13 +110,13 @@ class Scene:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)  # the class is frozen for its users
-        require(self.train, f"{where}: train", "no views; expected at least one")
+        require_field(self.train, f"{where}: train", "no views; expected at least one")
         for view in self.train + self.test:
             check_view(view, self.train[0], f"{where}: {view.name}")
 
     @property
     def center(self):
-        """The point [3] nearest to the optical axes of the training cameras, by least squares.
+        """Return the point [3] nearest to the axes of the training cameras, by least squares.
 
         Where the axes are all but parallel, their common direction counts from the origin.
         """
@@ -144,7 +144,7 @@ class Scene:
         are not trained on. Without `effects` the scene has all of the model's.
         """
         images, cameras, times = list(images), list(cameras), list(times)
-        require(
+        require_field(
             len(images) == len(cameras) == len(times),
             f"{name}: images, cameras, times",
             f"{len(images)}, {len(cameras)} and {len(times)}; expected equal numbers",
@@ -175,6 +175,7 @@ def check_effects(names, where, known=SIMULATOR_EFFECTS):
         MODEL_EFFECTS if names is None else names,
         where,
         partial(choice, words=SIMULATOR_EFFECTS),
+        unique=True,
     )
     return tuple(effect for effect in known if effect in listed)
 
@@ -196,7 +197,7 @@ def size_of(image):
 def as_float(image, where):
     """Return the pixels as float32, unsigned integers divided by their largest value."""
     image = np.asarray(image)
-    require(
+    require_field(
         image.ndim == 3 and image.shape[2] in (3, 4) and image.size and image.dtype.kind in "uf",
         where,
         f"{image.dtype} of shape {image.shape}; expected (H, W, 3) or (H, W, 4), uint8 or floats "
@@ -217,14 +218,14 @@ def over_background(image, color):
 def check_view(view, first, where):
     """Refuse a view that is inconsistent or out of range, or of another size than the first."""
     image, camera = view.image, view.camera
-    require(
+    require_field(
         image.shape == first.image.shape == (camera.height, camera.width, 3),
         where,
         f"{size_of(image)} pixels, camera of {camera.width}x{camera.height}; expected RGB and "
         f"{size_of(first.image)}, the same for all views",
     )
     for name, values in (("image", image), ("alpha", view.alpha)):
-        require(
+        require_field(
             values is None or (values.min() >= 0 and values.max() <= 1 + 1e-6),
             f"{where}: {name}",
             "values outside [0, 1], or not finite; expected finite values in [0, 1]",

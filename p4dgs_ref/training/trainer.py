@@ -10,11 +10,12 @@ import numpy as np
 
 from ..equations import hash_grid
 from ..model import Anchors, Model, bounding_box, over_limits, snap, split
-from ..scenes.fields import require
+from ..scenes.fields import numbers, require_field
 from ..splatting.settings import FAST
 from . import density, objective
 from .initial import design_of, initial_parameters
 from .parameters import Adam, Parameters, learning_rate_at
+from .presets import MAX_VALUE
 from .watch import NotFinite, first_bad, first_not_finite
 
 # The field of the preset that is the learning rate of an array, or of all arrays of a network.
@@ -68,8 +69,9 @@ class Trainer:
     """Fits one scene: `step()` does one iteration, `model()` returns the model so far."""
 
     def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
-        self.scene, self.preset, self.seed, self.settings = scene, preset, seed, settings
-        self.rng = np.random.default_rng(seed)
+        self.scene, self.preset, self.settings = scene, preset, settings
+        self.seed = numbers(seed, "seed", 0, MAX_VALUE, kind=int)
+        self.rng = np.random.default_rng(self.seed)
         self.iteration = 0
         self.order = []  # the views still to be visited, last first
         self.history = []  # rows of training.csv
@@ -82,7 +84,7 @@ class Trainer:
         self.adam = Adam(self.parameters)
         self.mask = np.ones((len(self.parameters["x_a"]), self.design.k), bool)
         excess = over_limits(self.design, self.count)
-        require(not excess, "starting points", excess)
+        require_field(not excess, "starting points", excess)
         self.statistics = density.Statistics.empty(*self.mask.shape)
 
     def adopt(self, parameters):

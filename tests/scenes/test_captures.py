@@ -1,4 +1,4 @@
-"""Captures as they lie: transforms.json alone, a lens, sizes that N does not divide, EXIF."""
+"""Captures as they lie: one file of views, missing pictures, a lens, sizes, EXIF, colours."""
 
 import json
 import math
@@ -10,7 +10,7 @@ import pytest
 
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.scenes import load_scene
-from p4dgs_ref.scenes.files import box_filter, turned, warn_once
+from p4dgs_ref.scenes.files import box_filter
 from p4dgs_ref.splatting.camera import look_at
 from tests.scenes.refusals import refuse
 from tests.scenes.test_scenes import pose
@@ -140,15 +140,81 @@ def test_sizes_that_downscale_does_not_divide_are_cropped(toy):
         refuse(("90x160 pixels", "at least downscale 91"), load_scene, toy, downscale=91)
 
 
-def test_where_transforms_json_stands_beside_those_of_d_nerf(tmp_path):
-    """Those of D-NeRF are read, and one of two is missing."""
-    folder = capture(tmp_path / "both", as_bytes(straight()), 3)
-    (folder / "transforms_train.json").write_bytes((folder / "transforms.json").read_bytes())
-    words = "transforms_test.json", "missing", "a capture with transforms.json"
-    with pytest.warns(UserWarning, match="transforms_train.json: fields that are not read"):
-        refuse(words, load_scene, folder)
-    (folder / "transforms_train.json").unlink()
-    assert len(read(folder)[0].train) == 2
+def rename(folder, old, *new):
+    """Put the views of a transforms file into one or more files of other names."""
+    text = (folder / old).read_text(encoding="utf-8")
+    (folder / old).unlink()
+    for name in new:
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+TRAIN, TEST, VAL = (f"transforms_{split}.json" for split in ("train", "test", "val"))
+CAPTURE = "transforms.json"
+
+
+@pytest.mark.parametrize(
+    "read_names, others",
+    [
+        ([CAPTURE], []),
+        ([CAPTURE], [TEST]),
+        ([TRAIN], []),
+        ([TRAIN], [CAPTURE]),
+        ([TEST], []),
+        ([VAL], []),
+        ([TRAIN, VAL], []),
+        ([TRAIN, TEST], [VAL, CAPTURE]),
+    ],
+)
+def test_which_files_say_what_is_trained_on(tmp_path, read_names, others):
+    """One file alone is a capture, whatever its name; a validation split stands in for a test."""
+    folder = capture(tmp_path / "clone", as_bytes(straight()), 9)
+    rename(folder, CAPTURE, *read_names, *others)
+    scene, told = read(folder)
+    assert (len(scene.train), len(scene.test)) == ((9, 9) if read_names[1:] else (7, 2))
+    lines = [line for line in told if "fields that are not read" in line]
+    assert [line.partition(":")[0] for line in lines] == [str(folder / name) for name in read_names]
+
+
+def test_without_views_to_train_on_the_missing_file_is_named(tmp_path):
+    folder = capture(tmp_path / "clone", as_bytes(straight()), 3)
+    rename(folder, CAPTURE, TEST, VAL)
+    refuse((f"{TRAIN}: missing; expected JSON", "COLMAP"), load_scene, folder)
+
+
+def test_a_transforms_file_names_its_folder(toy):
+    scene, _ = read(toy / CAPTURE)
+    assert (scene.name, scene.source) == ("toy", toy)
+
+
+@pytest.mark.parametrize("missing, is_read", [(0, True), (4, True), (5, False), (9, False)])
+@pytest.mark.parametrize("name", [CAPTURE, TRAIN])
+def test_frames_of_a_capture_whose_picture_is_missing_are_left_out(
+    tmp_path, name, missing, is_read
+):
+    """The first and every eighth of the pictures that exist are test views."""
+    folder = capture(tmp_path / "sample", as_bytes(straight()), 9)
+    rename(folder, CAPTURE, name)
+    pictures = sorted((folder / "images").iterdir())
+    for file in pictures[:missing]:
+        file.unlink()
+    said = f"{name}: {missing} of 9 frames have no picture in {folder}"
+    if is_read:
+        scene, told = read(folder)
+        names = [f"images/{file.name}".removesuffix(".png") for file in pictures[missing:]]
+        assert [view.name for view in scene.test] == names[::8]
+        assert len(scene.train) == len(names) - len(names[::8])
+        assert [said in line for line in told].count(True) == bool(missing)
+    else:
+        with pytest.warns(UserWarning, match="fields that are not read"):
+            refuse((f"{said}; expected one for at least half",), load_scene, folder)
+
+
+def test_a_picture_missing_in_two_splits_is_refused(tmp_path):
+    folder = capture(tmp_path / "clone", as_bytes(straight()), 9)
+    rename(folder, CAPTURE, TRAIN, TEST)
+    (folder / "images/0003.JPG").unlink()
+    with pytest.warns(UserWarning):
+        refuse((TRAIN, "frames[6].file_path: no picture './images/0003.JPG'"), load_scene, folder)
 
 
 def test_times_of_a_capture(tmp_path):
@@ -168,26 +234,6 @@ def test_times_of_a_capture(tmp_path):
     assert sorted(view.time for view in scene.train + scene.test) == [0, 0.5, 0.5, 0.5, 0.5]
 
 
-PIXELS = np.arange(6).reshape(2, 3, 1).repeat(3, axis=2)
-# What a viewer shows for each value of Orientation, by the corners of EXIF 2.3.
-TURNED = {
-    1: [[0, 1, 2], [3, 4, 5]],
-    2: [[2, 1, 0], [5, 4, 3]],
-    3: [[5, 4, 3], [2, 1, 0]],
-    4: [[3, 4, 5], [0, 1, 2]],
-    5: [[0, 3], [1, 4], [2, 5]],
-    6: [[3, 0], [4, 1], [5, 2]],
-    7: [[5, 2], [4, 1], [3, 0]],
-    8: [[2, 5], [1, 4], [0, 3]],
-}
-
-
-@pytest.mark.parametrize("orientation", [None, 0, 9, "6", *TURNED])
-def test_orientation(orientation):
-    wanted = TURNED.get(orientation, PIXELS[..., 0].tolist())
-    assert turned(PIXELS, orientation)[..., 1].tolist() == wanted
-
-
 def with_orientation(pixels, value):
     """A JPEG with the field Orientation of EXIF, made by hand."""
     jpeg = iio.imwrite("<bytes>", pixels, extension=".jpg", quality=98)
@@ -196,40 +242,81 @@ def with_orientation(pixels, value):
     return jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg[2:]
 
 
-@pytest.mark.parametrize("grey", [False, True])
-def test_a_photograph_is_turned_as_a_viewer_turns_it(tmp_path, grey):
-    """A mirrored one, too; w and h are those of the picture as it is seen."""
-    upright = as_bytes(straight())
-    folder = capture(tmp_path / "turned", upright, 9)
-    stored = np.ascontiguousarray(upright.swapaxes(0, 1)[:, ::-1])  # 8 in TURNED turns it back
-    for value, pixels in ((8, stored), (5, upright.swapaxes(0, 1))):
-        pixels = np.ascontiguousarray(pixels[..., 0] if grey else pixels)
-        (folder / "images/0002.jpg").write_bytes(with_orientation(pixels, value))
-        image = read(folder)[0].train[1].image
-        assert psnr(image, upright[..., :1] / 255 if grey else upright / 255) > 30
+@pytest.mark.parametrize("orientation", [0, 1, 3, 6, 8, 9])
+def test_pictures_are_read_as_stored_whatever_their_orientation(tmp_path, orientation):
+    """COLMAP's cameras belong to the stored pixels; one line says how many are not turned."""
+    stored = as_bytes(straight())
+    folder = capture(tmp_path / "phone", stored, 9)
+    for name in ("0002.jpg", "0003.JPG"):
+        (folder / "images" / name).write_bytes(with_orientation(stored, orientation))
+    scene, told = read(folder)
+    for view in scene.train[1:3]:
+        assert psnr(view.image, stored / 255) > 30
+    said = [line for line in told if "EXIF" in line]
+    assert len(said) == (orientation in (3, 6, 8))
+    if said:
+        assert said[0].startswith(f"{folder}: 2 of 9 pictures have an EXIF orientation, which is")
 
 
-def test_premultiplied_colours_get_one_line(tmp_path):
-    rng = np.random.default_rng(0)
-    alpha = rng.uniform(size=(HEIGHT, WIDTH, 1))
-    color = np.broadcast_to([0.9, 0.4, 0.2], (HEIGHT, WIDTH, 3))
-    for name, pixels, lines in (
-        ("straight", np.dstack([color, alpha]), 0),
-        ("premultiplied", np.dstack([color * alpha, alpha]), 1),
-        ("opaque", np.dstack([color * 0.1, np.ones_like(alpha)]), 0),
-    ):
-        folder = capture(tmp_path / name, as_bytes(straight()), 1)
-        for i in range(3):
-            iio.imwrite(folder / f"images/{i}.png", as_bytes(pixels))
-        data = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
-        data["frames"] = [
-            {**data["frames"][0], "file_path": f"images/{i}", "time": 0} for i in range(3)
-        ]
-        (folder / "transforms.json").write_text(json.dumps(data), encoding="utf-8")
-        warn_once.cache_clear()
-        _, told = read(folder, downscale=2)
-        begin = f"{folder / 'transforms.json'}: in the partly"
-        assert len([line for line in told if line.startswith(begin)]) == lines
+def test_sizes_that_only_the_turned_picture_has_are_refused_with_the_word_exif(tmp_path):
+    lying = np.ascontiguousarray(as_bytes(straight()).swapaxes(0, 1))
+    folder = capture(tmp_path / "phone", lying, 3)
+    words = "180x320", "expected the proportions of the picture, 160x90 pixels"
+    with pytest.warns(UserWarning):
+        message = refuse(words, load_scene, folder)
+        assert "EXIF" not in message
+    for file in (folder / "images").iterdir():
+        file.write_bytes(with_orientation(lying, 6))
+    with pytest.warns(UserWarning):
+        refuse((*words, "as stored (EXIF orientation 6 is not applied)"), load_scene, folder)
+
+
+@pytest.mark.parametrize(
+    "head, words",
+    [
+        ({"cx": 0.5, "cy": 0.5}, ["principal point 0.25, 0.25; expected pixels of 90x160"]),
+        ({"cx": 1.0, "cy": 0.5}, ["expected pixels of 90x160, not fractions of the sides"]),
+        ({"k1": -3}, ["lens distortion -3, 0, 0: towards the corner", "undistort"]),
+        ({"k1": -44.85, "k2": 1017}, ["lens distortion -44.85, 1017, 0:", "grows by 0.1"]),
+        ({"k1": -0.3, "k2": 0.1}, []),  # of a wide lens
+        ({"k1": 0.06, "k2": -0.08, "fl_x": 300.0, "fl_y": 300.0}, []),  # of a phone
+    ],
+)
+def test_a_lens_in_other_units_or_that_folds_the_picture_is_refused(tmp_path, head, words):
+    folder = capture(tmp_path / "roof", as_bytes(straight()), 3, **head)
+    with pytest.warns(UserWarning):
+        if words:
+            refuse(["transforms.json: frames[", *words], load_scene, folder)
+        else:
+            load_scene(folder, downscale=10)
+
+
+GRADIENT = np.linspace(0.1, 0.9, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH, 1)
+BROWN = np.broadcast_to([0.9, 0.4, 0.2], (HEIGHT, WIDTH, 3))
+
+
+@pytest.mark.parametrize(
+    "color, alpha, is_told",
+    [
+        (BROWN, GRADIENT, False),
+        (BROWN * GRADIENT, GRADIENT, True),
+        (BROWN * 0.1 * GRADIENT, GRADIENT, True),
+        (BROWN * 0.1, GRADIENT, False),  # a dark object
+        (BROWN * 0, GRADIENT, False),
+        (BROWN * 0.1, np.ones_like(GRADIENT), False),
+    ],
+)
+def test_premultiplied_colours_get_one_line_in_every_folder(tmp_path, color, alpha, is_told):
+    pixels = as_bytes(np.dstack([color, alpha]))
+    for name in ("one", "two"):
+        folder = capture(tmp_path / name, as_bytes(straight()), 3)
+        for file in (folder / "images").glob("*.[pP]*"):
+            file.write_bytes(iio.imwrite("<bytes>", pixels, extension=".png"))
+        for _ in range(2):
+            _, told = read(folder, downscale=2)
+            said = [line for line in told if "expected straight alpha" in line]
+            assert len(said) == is_told
+            assert all(line.startswith(f"{folder}: 2 of 3 pictures have partly") for line in said)
 
 
 def test_progress_is_told_before_every_picture(toy):

@@ -234,11 +234,11 @@ def test_anchors_start_from_the_points(folder, tmp_path):
     started = Trainer(scene, preset).parameters["x_a"]
     np.testing.assert_allclose(started, wanted, atol=2e-3)
     np.save(tmp_path / "few.npy", POINTS[:3])
-    others = read_points_for(scene, tmp_path / "few.npy")
+    others = read_points_for(scene.source, tmp_path / "few.npy")
     np.testing.assert_allclose(others, (POINTS[:3] - CENTER) * SCALE, atol=1e-12)
     assert len(Trainer(scene, preset, points=others).parameters["x_a"]) == 3
     static = load_scene("static")
-    np.testing.assert_array_equal(read_points_for(static, tmp_path / "few.npy"), POINTS[:3])
+    np.testing.assert_array_equal(read_points_for(static.source, tmp_path / "few.npy"), POINTS[:3])
 
 
 VIEW = f"camera/{LEFT[1]}.json"
@@ -257,6 +257,7 @@ MISTAKES = [
     ),
     ("dataset.json", {"val_ids": ["a\nb"]}, ("dataset.json: val_ids[0]", "control characters")),
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
+    ("dataset.json", {"train_ids": [*LEFT, LEFT[0]]}, ("train_ids", "each of them once")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
     ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
     ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "missing; expected a dict")),

@@ -457,6 +457,7 @@ IN_THE_FOLDER = [
     (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
     (effects("rotation"), {}, ("scene.json", "effects", "list")),
     (effects([["rotation"]]), {}, ("scene.json", "effects[0]", "rotation")),
+    (effects(["rotation", "rotation"]), {}, ("scene.json", "effects", "each of them once")),
     (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
     *(
         (
@@ -485,10 +486,6 @@ IN_THE_FOLDER = [
     (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", '{"frames": []}'), {}, ("transforms_test.json", "empty")),
-    *(
-        (lambda folder, name=name: (folder / name).unlink(), {}, (name, "missing"))
-        for name in ("transforms_test.json", "transforms_train.json")
-    ),
 ]
 
 

@@ -167,7 +167,7 @@ def turn(axis, degrees):
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
-def facing(T, viewer):
+def rotation_to_viewer(T, viewer):
     """Return the rotation whose third column points from T to the viewer; the first is level."""
     back = (viewer - T) / np.linalg.norm(viewer - T)
     level = np.array([-back[1], back[0], 0.0])
@@ -194,6 +194,6 @@ def poses(bodies, effects, t, viewer):
         offset, R, scale = moved.values()
         T = base.T + base.R @ offset
         if body.faces_camera and "view_geometry" in effects:
-            R = facing(T, viewer)
+            R = rotation_to_viewer(T, viewer)
         placed[body.name] = Pose(R, T, scale)
     return placed

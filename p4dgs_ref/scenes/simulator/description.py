@@ -4,7 +4,6 @@ Lengths are in scene units, z is up, angles are in degrees, colours are three nu
 field that is not in the tables is refused, because a misspelt one would otherwise be ignored.
 """
 
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,56 +17,111 @@ from ..fields import (
     list_of,
     numbers,
     one_of,
-    require,
+    require_field,
     text,
-    typed,
+    value_of_type,
 )
 from ..files import read_json
 from ..scene import COLOR, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
 
 
 def direction(value, where):
-    """Three numbers that are not all zero."""
+    """Return three numbers that are not all zero."""
     axis = POINT(value, where)
-    require(axis.any(), where, f"{value!r}; expected a direction, not zero")
+    require_field(axis.any(), where, f"{value!r}; expected a direction, not zero")
     return axis
 
 
-POSITIVE = partial(numbers, low=1e-6, high=MAX_COORDINATE)
-COUNT = partial(numbers, low=1, high=100_000, kind=int)
-SIZE = partial(numbers, low=1, high=4096, shape=(2,), kind=int)
-ELEVATION = partial(numbers, low=-89, high=89, shape=(2,))
+def positive(value, where, shape=()):
+    """Return a length in scene units that is not zero, or an array of them."""
+    return numbers(value, where, 1e-6, MAX_COORDINATE, shape)
+
+
+def number_of_views(value, where):
+    """Return a number of views of a split."""
+    return numbers(value, where, 1, 100_000, kind=int)
+
+
+def size(value, where):
+    """Return the width and height of the pictures in pixels."""
+    return numbers(value, where, 1, 4096, (2,), int)
+
+
+def elevations(value, where):
+    """Return the lowest and highest elevation of cameras, in degrees."""
+    return numbers(value, where, -89, 89, (2,))
+
+
+def half_edges(value, where):
+    """Return half the lengths of the edges of a box."""
+    return positive(value, where, (3,))
+
+
+def axes(value, where):
+    """Return the axes along which a checker alternates."""
+    return choice(value, where, ("xy", "xyz"))
+
+
+def amount(value, where):
+    """Return the fraction by which a body grows and shrinks, less than 1."""
+    return numbers(value, where, -0.99, 0.99)
+
+
+def exponent(value, where):
+    """Return the exponent of a highlight."""
+    return numbers(value, where, 1, 1000)
+
+
+def truth(value, where):
+    """Return true or false."""
+    return value_of_type(value, where, bool)
+
+
+def objects(table):
+    """Return the check of an object with the fields of a table."""
+    return lambda value, where: fields(value, where, table)
+
+
+def kinds(tables):
+    """Return the check of an object whose field `kind` names one of the tables."""
+    return lambda value, where: one_of(value, where, tables)
+
+
+def lists(check):
+    """Return the check of a list."""
+    return lambda value, where: list_of(value, where, check)
+
+
 ORIGIN = np.zeros(3)
-WAVE = {"period": (POSITIVE, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
+WAVE = {"period": (positive, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
 TURN = {"axis": (direction, REQUIRED), "degrees": (NUMBER, REQUIRED)}
 VIEWS = {
-    "train": (COUNT, REQUIRED),
-    "test": (COUNT, REQUIRED),
-    "radius": (POSITIVE, REQUIRED),
-    "elevation": (ELEVATION, REQUIRED),
+    "train": (number_of_views, REQUIRED),
+    "test": (number_of_views, REQUIRED),
+    "radius": (positive, REQUIRED),
+    "elevation": (elevations, REQUIRED),
     "target": (POINT, ORIGIN),
 }
 
 # The fields of every kind of shape, texture, motion, light and camera path.
 SHAPES = {
-    "sphere": {"radius": (POSITIVE, REQUIRED)},
-    # `half` is half the length of the edges
-    "box": {"half": (partial(POSITIVE, shape=(3,)), REQUIRED)},
+    "sphere": {"radius": (positive, REQUIRED)},
+    "box": {"half": (half_edges, REQUIRED)},
     "capsule": {
         "start": (POINT, REQUIRED),
         "end": (POINT, REQUIRED),
-        "radius": (POSITIVE, REQUIRED),
+        "radius": (positive, REQUIRED),
     },
 }
 TEXTURES = {
     "checker": {
         "color": (COLOR, REQUIRED),
-        "cell": (POSITIVE, REQUIRED),
-        "axes": (partial(choice, words=("xy", "xyz")), "xyz"),
+        "cell": (positive, REQUIRED),
+        "axes": (axes, "xyz"),
     },
     "stripes": {
         "color": (COLOR, REQUIRED),
-        "period": (POSITIVE, REQUIRED),
+        "period": (positive, REQUIRED),
         "direction": (direction, REQUIRED),
     },
 }
@@ -77,7 +131,7 @@ MOTIONS = {
     "arc": {"center": (POINT, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
     "swing": {**TURN, **WAVE},
     "spin": TURN,
-    "pulse": {"amount": (partial(numbers, low=-0.99, high=0.99), REQUIRED), **WAVE},
+    "pulse": {"amount": (amount, REQUIRED), **WAVE},
 }
 LIGHTS = {
     "sun": {"direction": (direction, REQUIRED), "ambient": (SHARE, REQUIRED)},
@@ -87,23 +141,23 @@ CAMERAS = {"scattered": VIEWS, "orbit": {**VIEWS, "turns": (NUMBER, REQUIRED)}}
 
 SPECULAR = {
     "strength": (SHARE, REQUIRED),
-    "exponent": (partial(numbers, low=1, high=1000), REQUIRED),
+    "exponent": (exponent, REQUIRED),
 }
 BODY = {
     "name": (text, REQUIRED),
-    "shape": (partial(one_of, tables=SHAPES), REQUIRED),
+    "shape": (kinds(SHAPES), REQUIRED),
     "color": (COLOR, REQUIRED),
-    "texture": (partial(one_of, tables=TEXTURES), None),
-    "specular": (partial(fields, table=SPECULAR), None),
+    "texture": (kinds(TEXTURES), None),
+    "specular": (objects(SPECULAR), None),
     "position": (POINT, ORIGIN),
-    "turn": (partial(fields, table=TURN), SimpleNamespace(axis=(0, 0, 1), degrees=0)),
+    "turn": (objects(TURN), SimpleNamespace(axis=(0, 0, 1), degrees=0)),
     "parent": (text, None),
-    "motion": (partial(list_of, check=partial(one_of, tables=MOTIONS)), ()),
-    "faces_camera": (partial(typed, kind=bool), False),
+    "motion": (lists(kinds(MOTIONS)), ()),
+    "faces_camera": (truth, False),
 }
 LENS = {  # in pixels; the principal point counts from the corner, as in the transforms files
-    "fl_x": (POSITIVE, REQUIRED),
-    "fl_y": (POSITIVE, REQUIRED),
+    "fl_x": (positive, REQUIRED),
+    "fl_y": (positive, REQUIRED),
     "cx": (NUMBER, REQUIRED),
     "cy": (NUMBER, REQUIRED),
 }
@@ -111,26 +165,26 @@ SCENE = {
     "title": (text, REQUIRED),
     "license": (text, None),
     "effects": (check_effects, SIMULATOR_EFFECTS),
-    "resolution": (SIZE, REQUIRED),
-    "lens": (partial(fields, table=LENS), REQUIRED),
-    "cameras": (partial(one_of, tables=CAMERAS), REQUIRED),
-    "light": (partial(one_of, tables=LIGHTS), REQUIRED),
-    "bodies": (partial(list_of, check=partial(fields, table=BODY)), REQUIRED),
+    "resolution": (size, REQUIRED),
+    "lens": (objects(LENS), REQUIRED),
+    "cameras": (kinds(CAMERAS), REQUIRED),
+    "light": (kinds(LIGHTS), REQUIRED),
+    "bodies": (lists(objects(BODY)), REQUIRED),
 }
 
 
 def read_description(source):
-    """The checked description, a namespace with the fields of SCENE, from a file or a dictionary.
+    """Read the checked description, a namespace with the fields of SCENE, from a file or a dict.
 
     Raises SceneError with one line that names the file, the field and what was expected.
     """
     is_read, expected = isinstance(source, dict), "a scene.json like that of tiny_scenes/bouncing"
     where = "scene" if is_read else str(source)
     description = fields(source if is_read else read_json(Path(source), expected), where, SCENE)
-    require(description.bodies, f"{where}: bodies", "empty; expected at least one body")
+    require_field(description.bodies, f"{where}: bodies", "empty; expected at least one body")
     known = {None}
     for i, body in enumerate(description.bodies):
-        require(
+        require_field(
             body.name not in known and body.parent in known,
             f"{where}: bodies[{i}]",
             f"name {body.name!r}, parent {body.parent!r}; expected a name that no body before it "
