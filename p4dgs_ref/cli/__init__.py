@@ -77,14 +77,13 @@ def ask(arguments, what, seconds, free=0):
     Trainings of less than `free` seconds start without a question; their estimate is printed if it
     is more than a minute.
     """
-    estimate = f"{what}, about {max(seconds / 60, 0.1):.1f} minutes"
+    for unit, length in (("days", 86400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= length:
+            break
+    estimate = f"about {max(seconds / length, 0.1):.1f} {unit} ({what})"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     wanted = arguments.yes or seconds < free
-    require_usage(
-        wanted or is_seen,
-        "--yes",
-        f"expected for {estimate}, where there is no terminal to ask on",
-    )
+    require_usage(wanted or is_seen, estimate, "say --yes")
     if seconds > 60 or not wanted:
         print_message(estimate)
     if not wanted:

@@ -381,8 +381,8 @@ def parser():
 # The end of the message of a stopped command: what is kept, and how to go on.
 STOPPED = {
     "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
-    "demo": "; nothing is kept, because all files are written at the end; `p4dgs-ref train` keeps "
-    "checkpoints, from which --resume goes on",
+    "demo": "; nothing is kept before the training ends; `p4dgs-ref train` keeps checkpoints, from "
+    "which --resume goes on",
 }
 
 

@@ -6,6 +6,8 @@ from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, dif
 
 def quality(m):
     """Return PSNR, also of the object alone if the scene has an alpha, and SSIM."""
+    if m["ssim"] is None:
+        return "not measured: the scene has no test views"
     foreground = "" if m["psnr_fg_db"] is None else f" (object {m['psnr_fg_db']:.2f} dB)"
     return f"PSNR {m['psnr_db']:.2f} dB at {m['size']}{foreground}, SSIM {m['ssim']:.4f}"
 

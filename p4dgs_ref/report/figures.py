@@ -6,6 +6,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from ..effects import moves
 from ..scenes.files import image_bytes
 from ..splatting import render
 from ..splatting.camera import look_at
@@ -91,8 +92,12 @@ def error_of(image, truth):
 
 
 def literal(text):
-    """Escape `$`, because matplotlib takes what stands between two of them for mathematics."""
-    return text.replace("$", r"\$")
+    """Return a text for a title: `$` would begin mathematics, and the font lacks some letters."""
+    from matplotlib.font_manager import findfont, get_font
+
+    font = get_font(findfont("DejaVu Sans"))
+    known = (letter if font.get_char_index(ord(letter)) else "?" for letter in text)
+    return "".join(known).replace("$", r"\$")
 
 
 @figure_style()
@@ -159,13 +164,26 @@ def gif_of(images):
     return image_bytes(frames, ".gif", duration=60, loop=0)
 
 
-def write_motion(path, model, camera, frames=24):
-    """Write a GIF of the model over time, seen by a fixed camera; small pictures are enlarged."""
-    zoom = max(1, min(4, 256 // camera.width))
-    images = [
-        np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
-        for t in np.linspace(0, 1, frames)
-    ]
+def film_views(model, frames=24, azimuth=40.0, **options):
+    """Return the (camera, time) of a film by a fixed camera; around a model that does not move."""
+    if moves(model.design.effects):
+        camera = fixed_camera(model, azimuth, **options)
+        return [(camera, t) for t in np.linspace(0, 1, frames)]
+    turns = azimuth + 360 * np.arange(frames) / frames
+    return [(fixed_camera(model, turn, **options), 0.0) for turn in turns]
+
+
+def write_motion(path, model, scene, frames=24):
+    """Write a GIF of the model over time, seen by a test camera; small pictures are enlarged.
+
+    A model that does not move is seen by one camera of the scene after the other.
+    """
+    views = [*scene.test, *scene.train]
+    film = [(views[0].camera, t) for t in np.linspace(0, 1, frames)]
+    if not moves(model.design.effects):
+        film = [(view.camera, 0.0) for view in views[:: 1 + len(views) // frames]]
+    zoom = max(1, min(4, 256 // views[0].camera.width))
+    images = [np.clip(model.render(*at), 0, 1).repeat(zoom, 0).repeat(zoom, 1) for at in film]
     path.write_bytes(gif_of(images))
 
 

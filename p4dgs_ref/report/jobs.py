@@ -4,16 +4,23 @@ import json
 import re
 import time
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
 from ..arithmetic import arithmetic
-from ..codec.container import EncodeError
 from ..codec.file import decode, encode
 from ..output import refuse_existing, staged_folder
 from ..scenes.scene import Scene
-from ..training.fit import fit_with_advice, identity, save_checkpoint
+from ..training.fit import (
+    CHECKPOINT,
+    HOW_TO_RESUME,
+    fit_with_advice,
+    identity,
+    save_checkpoint,
+)
 from ..training.presets import PRESETS, Preset, choose, differences
+from ..training.trainer import Trainer
 from . import figures
 from .evaluate import call_with_seconds, compression, evaluate, json_safe
 
@@ -31,29 +38,32 @@ def main_job(
 ) -> dict:
     """Run everything, write the report into `folder` and return the metrics.
 
-    Pictures and metrics are those of the decoded model. The folder gets all files at the end, or
-    none. `start` is the `time.perf_counter()` from which the seconds of the whole job count; the
-    other arguments are those of `train`. Raises the errors of `train` and `evaluate`, OutputError
-    for a folder that cannot be written or holds an earlier report, and EncodeError for a model that
-    no file holds, whose checkpoint stays in the folder.
+    Pictures and metrics are those of the decoded model; what a scene without test views cannot tell
+    is None. The folder gets all files at the end, or none; only the checkpoint of the trained model
+    stays in it if something fails after the training. `start` is the `time.perf_counter()` from
+    which the seconds of the whole job count; the other arguments are those of `train`. Raises the
+    errors of `train` and `evaluate`, OutputError for a folder that cannot be written or has an
+    earlier report, and EncodeError for a model that no file can contain.
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), re.sub(r"[/\\:]", "_", scene.name)
-    with staged_folder(folder) as staging:
+    with kept_training(folder) as keep, staged_folder(folder) as staging:
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
             refuse_existing(Path(folder) / file)
-        trainer, seconds, warning = fit_with_advice(scene, preset, seed, stream=stream)
-        try:
-            data, encode_seconds = call_with_seconds(encode, trainer.model())
-        except (EncodeError, OverflowError) as error:
-            save_checkpoint(trainer, folder, identity(trainer))
-            raise EncodeError(f"{error}; the training is kept in {folder}") from None
+        trainer = Trainer(scene, preset, seed)
+        warning, seconds = fit_with_advice(trainer, stream=stream, keep=keep)
+        data, encode_seconds = call_with_seconds(encode, trainer.model())
         path.write_bytes(data)
         model, decode_seconds = call_with_seconds(decode, path.read_bytes())
-        measures, rows, images = evaluate(model, scene)
-        trained = evaluate(model, scene, split="train")[0]["psnr_db"]
-        if trained > measures["psnr_db"] + OVERFITTED:
+        measures, *_ = evaluate(model, scene, split="train")
+        trained = measures["psnr_db"]
+        if scene.test:
+            measures, rows, images = evaluate(model, scene)
+            figures.write_comparison(staging, scene, rows, images)
+        else:
+            measures |= dict.fromkeys(("psnr_db", "psnr_fg_db", "ssim"))
+        if scene.test and trained > measures["psnr_db"] + OVERFITTED:
             warnings.warn(
                 f"scene {scene.name}: training views have {trained:.2f} dB at {measures['size']}, "
                 f"test views {measures['psnr_db']:.2f} dB: the model knows the pictures better "
@@ -63,7 +73,7 @@ def main_job(
         metrics = {
             "scene": scene.name,
             "preset": preset.name,
-            "seed": seed,
+            "seed": trainer.seed,
             "arithmetic": arithmetic(),
             **measures,
             "train_psnr_db": trained,
@@ -78,8 +88,7 @@ def main_job(
                 field: here for field, _, here in differences(preset, PRESETS[preset.name])
             },
         }
-        figures.write_comparison(staging, scene, rows, images)
-        figures.write_motion(staging / "motion.gif", model, scene.test[0].camera)
+        figures.write_motion(staging / "motion.gif", model, scene)
         figures.write_size(staging, preset.name, metrics)
         figures.write_training(staging, trainer.history, preset.stage_ends)
         metrics["seconds"] = time.perf_counter() - start
@@ -87,3 +96,17 @@ def main_job(
             json.dumps(json_safe(metrics), indent=1) + "\n", encoding="utf-8"
         )
     return metrics
+
+
+@contextmanager
+def kept_training(folder):
+    """Yield a function that saves a trained Trainer; the checkpoint stays if a later step fails."""
+    checkpoint = Path(folder) / CHECKPOINT
+    refuse_existing(checkpoint, HOW_TO_RESUME)
+    try:
+        yield lambda trainer: save_checkpoint(trainer, folder, identity(trainer))
+    except BaseException:
+        if checkpoint.exists():
+            warnings.warn(f"the training is kept in {checkpoint}; `encode` reads it")
+        raise
+    checkpoint.unlink()

@@ -63,24 +63,26 @@ def train(
     other bytes than on other machines, of anchors that stop growing because a file could not
     contain more, of a model that draws nothing, and of one that draws little of what moves.
     """
-    preset = choose(preset, changes)
-    options = dict(settings=settings, points=points, folder=folder, resume=resume, stream=stream)
-    return fit_with_advice(scene, preset, seed, **options)[0].model()
+    trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
+    fit_with_advice(trainer, folder, resume, stream)
+    return trainer.model()
 
 
-def fit_with_advice(scene, preset, seed, points=None, **options):
-    """Call `fit`, and warn before it and after it of a training that cannot learn or did not.
+def fit_with_advice(trainer, folder=None, resume=False, stream=None, keep=lambda trainer: None):
+    """Train to the end and warn; return the warning after it, or "", and the seconds of training.
 
-    Return the Trainer, the seconds that `fit` took, and the warning after it, "" if there is none.
+    `keep` is called with the trained Trainer before the model is measured for that warning.
     """
-    for sentence in advice.before(scene, preset, seed, points):
+    for sentence in advice.warnings_before(trainer):
         warnings.warn(sentence, stacklevel=3)
     start = time.perf_counter()
-    trainer = fit(scene, preset, seed, points=points, **options)
-    seconds, warning = time.perf_counter() - start, advice.after(trainer)
-    if warning:
-        warnings.warn(warning, stacklevel=3)
-    return trainer, seconds, warning
+    run(trainer, folder, resume, stream)
+    seconds = time.perf_counter() - start
+    keep(trainer)
+    sentence = advice.warning_after(trainer)
+    if sentence:
+        warnings.warn(sentence, stacklevel=3)
+    return sentence, seconds
 
 
 def fit(
@@ -95,19 +97,28 @@ def fit(
     save_every=SAVE_EVERY,
     **changes,
 ):
-    """Do what `train` does without its warnings, and return the Trainer, which has the history."""
+    """Do what `train` does without its advice, and return the Trainer, which has the history."""
     trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
-    progress = Progress(stream)
+    run(trainer, folder, resume, stream, save_every)
+    return trainer
+
+
+def run(trainer, folder, resume, stream, save_every=SAVE_EVERY):
+    """Train to the end, with checkpoints in a folder; warn if the first round draws nothing."""
+    progress, total = Progress(stream), trainer.preset.iterations
     with checkpoints(trainer, folder, resume) as save, deferred() as asked:
         save()
-        saved = time.monotonic()
-        while trainer.iteration < trainer.preset.iterations and not asked:
-            progress(trainer, *trainer.step())
+        saved, has_drawn = time.monotonic(), trainer.iteration > 0
+        while trainer.iteration < total and not asked:
+            losses, rendered, view = trainer.step()
+            progress(trainer, losses, rendered, view)
+            has_drawn |= bool(rendered.visible.any())
+            if not has_drawn and trainer.iteration == len(trainer.scene.train) < total:
+                warnings.warn(f"after a round of all views, {advice.drawn_nothing(trainer)}")
             if time.monotonic() - saved > save_every:
                 save()
                 saved = time.monotonic()
         save()  # then `deferred` raises KeyboardInterrupt if it was asked for
-    return trainer
 
 
 @contextmanager

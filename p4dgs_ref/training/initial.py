@@ -45,9 +45,9 @@ def starting_points(points, count, extent, rng):
     return points
 
 
-def lattice_nodes(points, preset):
+def lattice_nodes(points, voxel):
     """Return the nodes [A, 3] of the lattice that are nearest to points, each of them once."""
-    return np.unique(np.round(points / preset.voxel), axis=0) * preset.voxel
+    return np.unique(np.round(points / voxel), axis=0) * voxel
 
 
 def initial_parameters(preset, design, rng, points=None):
@@ -56,7 +56,7 @@ def initial_parameters(preset, design, rng, points=None):
     The arrays of a network are "psi_alpha.W0" and so on, those of the hash grid "grid.0" and so on.
     """
     points = starting_points(points, preset.anchors, preset.extent, rng)
-    x_a = lattice_nodes(points, preset)
+    x_a = lattice_nodes(points, preset.voxel)
     A = len(x_a)
     log_spacing = np.repeat(np.log(neighbour_distance(x_a))[:, None], 3, axis=1)
     arrays = {

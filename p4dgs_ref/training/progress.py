@@ -41,11 +41,12 @@ class Progress:
         if self.stream is None or not (due or done in (1, total)):
             return
         # The most important numbers come first, because a narrow terminal cuts the line.
+        left = "" if done == 1 else f"{seconds / self.steps * (total - done):.0f} s left  "
         line = (
-            f"{done:{len(str(total))}d}/{total}  {seconds / self.steps * (total - done):.0f} s left"
-            f"  stage {stage}  loss {losses.L_total:.4f}  PSNR {decibel:.2f} dB at "
-            f"{view.camera.width}x{view.camera.height}  {losses.L_rate:.2f} bits/parameter  "
-            f"{number_of(trainer.count, 'anchor')}  {number_of(len(rendered.index), 'Gaussian')}  "
+            f"{done:{len(str(total))}d}/{total}  {left}stage {stage}  loss {losses.L_total:.4f}  "
+            f"PSNR {decibel:.2f} dB at {view.camera.width}x{view.camera.height}  "
+            f"{losses.L_rate:.2f} bits/parameter  {number_of(trainer.count, 'anchor')}  "
+            f"{number_of(len(rendered.index), 'Gaussian')}  "
             f"{1e3 * seconds / self.steps:.1f} ms/step"
         )
         self.shown, self.steps = time.monotonic(), 0

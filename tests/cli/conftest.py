@@ -14,7 +14,6 @@ import p4dgs_ref as p4
 from p4dgs_ref.cli import parser as cli
 
 WARNING = "p4dgs-ref: warning: "
-PROGRESS = "pictures are read\n"  # of a slow machine
 
 
 def command(line):
@@ -38,7 +37,7 @@ def run(capsys):
         except SystemExit as stopped:
             code = stopped.code
         out, err = capsys.readouterr()
-        lines = [line for line in err.splitlines(keepends=True) if not line.endswith(PROGRESS)]
+        lines = err.splitlines(keepends=True)
         return code, out, "".join(line for line in lines if not line.startswith(WARNING))
 
     return run

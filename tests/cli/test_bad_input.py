@@ -24,6 +24,7 @@ from p4dgs_ref.report import figures
 from p4dgs_ref.scenes.files import MAX_JSON_BYTES
 from p4dgs_ref.training import presets
 from p4dgs_ref.training.fit import MAX_CHECKPOINT_BYTES, fit, load_checkpoint
+from p4dgs_ref.training.fit import run as run_training
 from tests import ROOT
 from tests.sampling import few
 
@@ -90,8 +91,8 @@ READING = (
 SCENES = [
     (
         "no file",
-        lambda place: (place / "scene/transforms_test.json").unlink(),
-        ("transforms_test.json", "missing"),
+        lambda place: [file.unlink() for file in (place / "scene").glob("*.json")],
+        ("transforms_train.json", "missing"),
     ),
     (
         "not JSON",
@@ -414,7 +415,7 @@ def test_a_grid_that_no_file_of_its_anchors_can_hold_is_refused_before_training(
 
 
 def test_learning_rate_that_explodes(place, run, monkeypatch):
-    monkeypatch.setattr("p4dgs_ref.training.fit.fit", partial(fit, save_every=0))
+    monkeypatch.setattr("p4dgs_ref.training.fit.run", partial(run_training, save_every=0))
     for rate in ("lr_d", "lr_c"):  # such rates are refused
         monkeypatch.setitem(presets.REQUIREMENTS, rate, ("any", lambda ends: True))
 
@@ -460,7 +461,7 @@ def test_out_of_memory(place, run, monkeypatch):
     def full(*arguments, **named):
         raise MemoryError("8 TiB for an array")
 
-    monkeypatch.setattr("p4dgs_ref.training.fit.fit", full)
+    monkeypatch.setattr("p4dgs_ref.training.fit.run", full)
     before = sorted(place.rglob("*"))
     code, _, err = run("demo scene -o new --preset smoke --quiet")
     assert (code, err) == (1, "p4dgs-ref: 8 TiB for an array\n")
@@ -518,7 +519,7 @@ def test_outputs_that_are_no_files(place, run, kind):
 
 # The file at which a disk is full that takes no file of more than a thousand bytes.
 FULL = {
-    "demo scene -o out --preset smoke --quiet": "out/scene.p4dgs",
+    "demo scene -o out --preset smoke --quiet": "out/checkpoint.npz",
     "train scene -o out --preset smoke --quiet": "out/checkpoint.npz",
     "encode run -o out/x": "out/x",
     "decode good.p4dgs -o out": "out/model.npz",

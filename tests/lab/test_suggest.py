@@ -205,7 +205,7 @@ def run(monkeypatch):
 def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, run, capsys):
     quick.update(occlusion=9.0)
     assert run(f"effects {folder} --suggest --apply") == 2
-    assert "--yes: expected for short trainings" in capsys.readouterr().err
+    assert "minutes (short trainings): say --yes" in capsys.readouterr().err
     assert run(f"effects {folder} --suggest --apply --yes") == 0
     assert "written to" in capsys.readouterr().out
     listed = ("occlusion", "background")

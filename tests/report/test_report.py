@@ -14,11 +14,11 @@ import p4dgs_ref as p4
 from p4dgs_ref.arithmetic import arithmetic
 from p4dgs_ref.cli import text
 from p4dgs_ref.codec.container import EncodeError
-from p4dgs_ref.codec.file import encode
 from p4dgs_ref.output import OutputError
 from p4dgs_ref.report import figures as report
 from p4dgs_ref.report import jobs as job
 from p4dgs_ref.report.evaluate import explicit_bytes, names_in_training, psnr, score
+from p4dgs_ref.training import advice
 from p4dgs_ref.training.fit import CHECKPOINT, fit
 from p4dgs_ref.training.progress import COLUMNS
 from tests.sampling import few
@@ -48,17 +48,53 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def test_a_training_that_no_file_holds_is_kept(scene, tmp_path):
-    """Its checkpoint stays in the folder, and the error says so in one line."""
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(EncodeError) as refused:
-        patch.setattr(
-            job, "encode", lambda model: encode(replace(model, box=(np.full(3, np.nan),) * 2))
-        )
-        job.main_job(scene, "smoke", 2, tmp_path / "new", **CHANGES)
-    assert str(refused.value).endswith(f"; the training is kept in {tmp_path / 'new'}")
-    assert [path.name for path in (tmp_path / "new").iterdir()] == [CHECKPOINT]
-    trainer = fit(scene, "smoke", 2, folder=tmp_path / "new", resume=True, **CHANGES)
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    "place, name, error",
+    [
+        (job, "encode", EncodeError),
+        (job, "decode", MemoryError),
+        (job, "evaluate", ValueError),
+        (advice, "warning_after", KeyboardInterrupt),
+        (report, "write_motion", OSError),
+    ],
+)
+def test_a_training_is_kept_whatever_fails_after_it(scene, tmp_path, place, name, error):
+    """The checkpoint is saved before anything is measured; one line says where it is."""
+    folder = tmp_path / "new"
+
+    def fail(*args, **named):
+        raise error("no ink")
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(error, match="no ink"):
+        patch.setattr(place, name, fail)
+        with pytest.warns(UserWarning, match="the training is kept in .*new/checkpoint.npz"):
+            job.main_job(scene, "smoke", 2, folder, **CHANGES)
+    assert [path.name for path in folder.iterdir()] == [CHECKPOINT]
+    trainer = fit(scene, "smoke", 2, folder=folder, resume=True, **CHANGES)
     assert trainer.iteration == 45 and trainer.history
+    with pytest.raises(OutputError, match="checkpoint.npz: exists"):
+        job.main_job(scene, "smoke", 2, folder, **CHANGES)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_scene_without_test_views_is_trained_and_says_what_is_not_measured(scene, tmp_path):
+    metrics = p4.main_job(replace(scene, test=()), "smoke", np.int64(2), tmp_path, **CHANGES)
+    assert metrics["psnr_db"] is metrics["psnr_fg_db"] is metrics["ssim"] is None
+    assert metrics["train_psnr_db"] > 5 and metrics["gaussians"] > 0 and metrics["seed"] == 2
+    written = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
+    assert written["psnr_db"] is None and "exact" not in written
+    said = text.metrics(metrics, tmp_path)
+    assert "decoded file on the test views: not measured: the scene has no test views\n" in said
+    assert "on the training views: PSNR" in said
+    assert (tmp_path / "bouncing.p4dgs").exists() and not (tmp_path / "comparison.csv").exists()
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "one", None, True])
+def test_a_seed_that_is_no_integer_is_refused_before_the_first_step(scene, tmp_path, seed):
+    for call in (p4.train, p4.main_job):
+        with pytest.raises(ValueError, match="seed: .*; expected one integer"):
+            call(scene, "smoke", seed, folder=tmp_path / "new")
 
 
 def test_files_and_tables(done, scene):
@@ -218,20 +254,16 @@ def test_equal_images(tmp_path, recwarn):
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("broken", few(["write_comparison", "write_motion", "write_training"], 1))
-def test_a_failed_report_leaves_nothing(scene, tmp_path, monkeypatch, broken):
+def test_a_failed_report_leaves_nothing_but_the_training(scene, tmp_path, monkeypatch, broken):
     def fail(*args):
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(report, broken, fail)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "size.csv").write_text("{}", encoding="utf-8")
-    for name in ("old", "new/deep"):
-        with pytest.raises(RuntimeError, match="no ink"):
-            p4.main_job(scene, "smoke", 0, tmp_path / name)
-    assert sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")) == [
-        "old",
-        "old/size.csv",
-    ]
+    with pytest.raises(RuntimeError, match="no ink"), pytest.warns(UserWarning, match="is kept"):
+        p4.main_job(scene, "smoke", 0, tmp_path / "old")
+    assert {path.name for path in (tmp_path / "old").iterdir()} == {"size.csv", CHECKPOINT}
     assert (tmp_path / "old" / "size.csv").read_text(encoding="utf-8") == "{}"
 
 

@@ -28,6 +28,7 @@ class Share:
 
     def __init__(self, scene, share):
         self.scene, self.share, self.settings, self.preset = scene, share, None, TINY
+        self.points = None
         self.mean = np.mean([view.image for view in scene.train], axis=0)
 
     def model(self):
