@@ -85,11 +85,9 @@ def load(arguments, preset=None, points=None):
         step = step_seconds(children, image[..., 0].size)
         what = f"{preset.iterations:,} iterations at {size_of(image)}"
         ask(arguments, what, step * preset.iterations, HOUR)
-    scene = replace(files, points=points).read(
+    return replace(files, points=points).read(
         lambda i, n: progress(f"{arguments.scene}: {i}/{n} pictures are read")
     )
-    progress()
-    return scene
 
 
 def step_seconds(children, pixels):

@@ -166,11 +166,11 @@ def gif_of(images):
 
 def film_views(model, frames=24, azimuth=40.0, **options):
     """Return the (camera, time) of a film by a fixed camera; around a model that does not move."""
-    if moves(model.design.effects):
-        camera = fixed_camera(model, azimuth, **options)
-        return [(camera, t) for t in np.linspace(0, 1, frames)]
-    turns = azimuth + 360 * np.arange(frames) / frames
-    return [(fixed_camera(model, turn, **options), 0.0) for turn in turns]
+    turn = 0 if moves(model.design.effects) else 360
+    return [
+        (fixed_camera(model, azimuth + turn * i / frames, **options), t)
+        for i, t in enumerate(np.linspace(0, 1, frames))
+    ]
 
 
 def write_motion(path, model, scene, frames=24):
@@ -179,11 +179,14 @@ def write_motion(path, model, scene, frames=24):
     A model that does not move is seen by one camera of the scene after the other.
     """
     views = [*scene.test, *scene.train]
-    film = [(views[0].camera, t) for t in np.linspace(0, 1, frames)]
-    if not moves(model.design.effects):
-        film = [(view.camera, 0.0) for view in views[:: 1 + len(views) // frames]]
-    zoom = max(1, min(4, 256 // views[0].camera.width))
-    images = [np.clip(model.render(*at), 0, 1).repeat(zoom, 0).repeat(zoom, 1) for at in film]
+    cameras = [view.camera for view in views[:: 1 + len(views) // frames]]
+    if moves(model.design.effects):
+        cameras = [views[0].camera] * frames
+    zoom = max(1, min(4, 256 // cameras[0].width))
+    images = [
+        np.clip(model.render(camera, t), 0, 1).repeat(zoom, 0).repeat(zoom, 1)
+        for camera, t in zip(cameras, np.linspace(0, 1, frames))
+    ]
     path.write_bytes(gif_of(images))
 
 

@@ -137,7 +137,7 @@ def find_files(folder):
 
 def frames_with_picture(folder, file, frames):
     """Return the frames of a capture whose picture exists; one line says how many do not."""
-    kept = [frame for frame in frames if find_picture(folder, *picture_of(frame))]
+    kept = [frame for frame in frames if find_picture(folder, frame.file_path, frame.where)]
     missing = f"{len(frames) - len(kept)} of {len(frames)} frames have no picture in {folder}"
     require_field(2 * len(kept) >= len(frames), file, f"{missing}; expected one for at least half")
     if len(kept) < len(frames):
@@ -171,18 +171,13 @@ def read_frame(frame, where, head, still):
         f"{where}.camera_angle_x",
         "missing; expected an angle in radians, or fl_x in pixels",
     )
-    values.where = where
+    values.where, values.file_path = where, values.file_path.replace("\\", "/")
     return values
-
-
-def picture_of(frame):
-    """Return the name of a frame's picture, and where it stands."""
-    return frame.file_path.replace("\\", "/"), f"{frame.where}.file_path"
 
 
 def read_view(folder, frame, downscale, color, notes):
     """Return one view from its picture."""
-    name, where = picture_of(frame)
+    name, where = frame.file_path, f"{frame.where}.file_path"
     image, size = read_image(folder, name, where, notes)
     lens = lens_of(frame, *image.shape[1::-1], size)
     name = name.removeprefix("./").removesuffix(".png")

@@ -32,44 +32,14 @@ def direction(value, where):
     return axis
 
 
-def positive(value, where, shape=()):
-    """Return a length in scene units that is not zero, or an array of them."""
-    return numbers(value, where, 1e-6, MAX_COORDINATE, shape)
-
-
-def number_of_views(value, where):
-    """Return a number of views of a split."""
-    return numbers(value, where, 1, 100_000, kind=int)
-
-
-def size(value, where):
-    """Return the width and height of the pictures in pixels."""
-    return numbers(value, where, 1, 4096, (2,), int)
-
-
-def elevations(value, where):
-    """Return the lowest and highest elevation of cameras, in degrees."""
-    return numbers(value, where, -89, 89, (2,))
-
-
-def half_edges(value, where):
-    """Return half the lengths of the edges of a box."""
-    return positive(value, where, (3,))
+def in_range(low, high, shape=(), kind=float):
+    """Return the check of a number, or of an array of that shape."""
+    return lambda value, where: numbers(value, where, low, high, shape, kind)
 
 
 def axes(value, where):
     """Return the axes along which a checker alternates."""
     return choice(value, where, ("xy", "xyz"))
-
-
-def amount(value, where):
-    """Return the fraction by which a body grows and shrinks, less than 1."""
-    return numbers(value, where, -0.99, 0.99)
-
-
-def exponent(value, where):
-    """Return the exponent of a highlight."""
-    return numbers(value, where, 1, 1000)
 
 
 def truth(value, where):
@@ -92,36 +62,43 @@ def lists(check):
     return lambda value, where: list_of(value, where, check)
 
 
+POSITIVE = in_range(1e-6, MAX_COORDINATE)
+HALF_EDGES = in_range(1e-6, MAX_COORDINATE, (3,))
+COUNT = in_range(1, 100_000, kind=int)
+SIZE = in_range(1, 4096, (2,), int)
+ELEVATION = in_range(-89, 89, (2,))
+AMOUNT = in_range(-0.99, 0.99)
+EXPONENT = in_range(1, 1000)
 ORIGIN = np.zeros(3)
-WAVE = {"period": (positive, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
+WAVE = {"period": (POSITIVE, 1.0), "phase": (NUMBER, 0.0)}  # the phase in fractions of a period
 TURN = {"axis": (direction, REQUIRED), "degrees": (NUMBER, REQUIRED)}
 VIEWS = {
-    "train": (number_of_views, REQUIRED),
-    "test": (number_of_views, REQUIRED),
-    "radius": (positive, REQUIRED),
-    "elevation": (elevations, REQUIRED),
+    "train": (COUNT, REQUIRED),
+    "test": (COUNT, REQUIRED),
+    "radius": (POSITIVE, REQUIRED),
+    "elevation": (ELEVATION, REQUIRED),
     "target": (POINT, ORIGIN),
 }
 
 # The fields of every kind of shape, texture, motion, light and camera path.
 SHAPES = {
-    "sphere": {"radius": (positive, REQUIRED)},
-    "box": {"half": (half_edges, REQUIRED)},
+    "sphere": {"radius": (POSITIVE, REQUIRED)},
+    "box": {"half": (HALF_EDGES, REQUIRED)},
     "capsule": {
         "start": (POINT, REQUIRED),
         "end": (POINT, REQUIRED),
-        "radius": (positive, REQUIRED),
+        "radius": (POSITIVE, REQUIRED),
     },
 }
 TEXTURES = {
     "checker": {
         "color": (COLOR, REQUIRED),
-        "cell": (positive, REQUIRED),
+        "cell": (POSITIVE, REQUIRED),
         "axes": (axes, "xyz"),
     },
     "stripes": {
         "color": (COLOR, REQUIRED),
-        "period": (positive, REQUIRED),
+        "period": (POSITIVE, REQUIRED),
         "direction": (direction, REQUIRED),
     },
 }
@@ -131,7 +108,7 @@ MOTIONS = {
     "arc": {"center": (POINT, REQUIRED), "degrees": (NUMBER, REQUIRED), **WAVE},
     "swing": {**TURN, **WAVE},
     "spin": TURN,
-    "pulse": {"amount": (amount, REQUIRED), **WAVE},
+    "pulse": {"amount": (AMOUNT, REQUIRED), **WAVE},
 }
 LIGHTS = {
     "sun": {"direction": (direction, REQUIRED), "ambient": (SHARE, REQUIRED)},
@@ -141,7 +118,7 @@ CAMERAS = {"scattered": VIEWS, "orbit": {**VIEWS, "turns": (NUMBER, REQUIRED)}}
 
 SPECULAR = {
     "strength": (SHARE, REQUIRED),
-    "exponent": (exponent, REQUIRED),
+    "exponent": (EXPONENT, REQUIRED),
 }
 BODY = {
     "name": (text, REQUIRED),
@@ -156,8 +133,8 @@ BODY = {
     "faces_camera": (truth, False),
 }
 LENS = {  # in pixels; the principal point counts from the corner, as in the transforms files
-    "fl_x": (positive, REQUIRED),
-    "fl_y": (positive, REQUIRED),
+    "fl_x": (POSITIVE, REQUIRED),
+    "fl_y": (POSITIVE, REQUIRED),
     "cx": (NUMBER, REQUIRED),
     "cy": (NUMBER, REQUIRED),
 }
@@ -165,7 +142,7 @@ SCENE = {
     "title": (text, REQUIRED),
     "license": (text, None),
     "effects": (check_effects, SIMULATOR_EFFECTS),
-    "resolution": (size, REQUIRED),
+    "resolution": (SIZE, REQUIRED),
     "lens": (objects(LENS), REQUIRED),
     "cameras": (kinds(CAMERAS), REQUIRED),
     "light": (kinds(LIGHTS), REQUIRED),
