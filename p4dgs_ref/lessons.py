@@ -345,12 +345,10 @@ def axes_of(case, tensor):
 
 
 def numbers_of(case):
-    """Return the numbers that a case shows: lengths of axes, settings and single inputs."""
-    inputs = [a for name, a in case.tensors.items() if name.startswith("in.")]
-    lengths = [length for a in inputs for length in a.shape]
-    single = [a.item() for a in inputs if a.size == 1]
-    settings = [v for v in case.record["settings"].values() if isinstance(v, (int, float))]
-    return [*lengths, *single, *settings]
+    """Return the numbers that a case shows: lengths of axes, and inputs that are one number."""
+    lengths = [length for a in case.tensors.values() for length in a.shape]
+    single = [np.asarray(value) for value in case.inputs().values() if np.size(value) == 1]
+    return [*lengths, *(a.item() for a in single if a.dtype.kind in "if")]
 
 
 @np.errstate(all="ignore")

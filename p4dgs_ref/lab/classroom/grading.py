@@ -82,7 +82,7 @@ def row_of(key, files, source, says, seed, minute):
             shares = [right / asked for right, asked in parts.values()]
             points = POINTS * np.average(shares, weights=[SHARES[part] for part in parts])
             says = "" if points == POINTS else reason(key, student)
-            points = round(float(points), 1) if not says else min(round(float(points), 1), 9.9)
+            points = min(round(float(points), 1), 9.9 if says else POINTS)
     return {
         "number": EQUATIONS[key].number,
         "key": key,

@@ -68,17 +68,12 @@ def unit(r):
     return r / np.sqrt((r * r).sum(axis=1, keepdims=True) + 1e-24)
 
 
-def outer(y, factor):
-    """The exponent and the clamps of a deviation: exp(factor * clip(raw))."""
-    return np.exp(factor * np.clip(y, -14, 6)), (y >= -14) & (y <= 6)
+def halved(name):
+    return dict(inputs={name: lambda y: y / 2}, inputs_bar={name: lambda bar, _: bar / 2})
 
 
-def deviation(factor):
-    def wrong(y, bar):
-        sigma, inside = outer(y, factor)
-        return sigma, np.where(inside, bar * factor * sigma, 0)
-
-    return wrong
+def clamped(y):
+    return np.exp(np.clip(y, -14, 6))
 
 
 NETWORK_OUTPUTS = [
@@ -90,13 +85,6 @@ NETWORK_OUTPUTS = [
         "alpha",
         lambda y, bar: (np.tanh(y), bar * (1 - np.tanh(y))),
     ),
-    of_number(
-        "tanh",
-        "tanh-slope-of-sigmoid",
-        "the slope is that of the sigmoid, alpha (1 - alpha)",
-        "alpha",
-        lambda y, bar: (np.tanh(y), bar * np.tanh(y) * (1 - np.tanh(y))),
-    ),
     of_number("sigmoid", "sigmoid-tanh", "tanh for the sigmoid", "color", by_tanh),
     of_number(
         "sigmoid",
@@ -106,25 +94,11 @@ NETWORK_OUTPUTS = [
         lambda y, bar: (expit(y), bar * expit(y)),
     ),
     of_number(
-        "sigmoid",
-        "sigmoid-slope-of-tanh",
-        "the slope is that of tanh, 1 - color^2",
-        "color",
-        lambda y, bar: (expit(y), bar * (1 - expit(y) ** 2)),
-    ),
-    of_number(
         "unit_quaternion",
         "unit-quaternion-not-normalised",
         "the quaternion is returned as it is, not divided by its length",
         "r",
         lambda y, bar: (y, bar),
-    ),
-    known(
-        "unit_quaternion",
-        "unit-quaternion-real-last",
-        "the answer is (x, y, z, w) instead of (w, x, y, z)",
-        outputs={"r": lambda r: r[..., [1, 2, 3, 0]]},
-        outputs_bar={"r": lambda bar, _: bar[..., [3, 0, 1, 2]]},
     ),
     of_number(
         "unit_quaternion",
@@ -145,28 +119,19 @@ NETWORK_OUTPUTS = [
         "sigma-clamp-gradient",
         "the clamp of the raw output lets the gradient pass",
         "sigma",
-        lambda y, bar: (outer(y, 1)[0], bar * outer(y, 1)[0]),
+        lambda y, bar: (clamped(y), bar * clamped(y)),
     ),
-    of_number(
+    known(
         "sigma_clamp",
         "sigma-clamp-log-variance",
         "the raw output is taken for the logarithm of a variance: exp(raw / 2)",
-        "sigma",
-        deviation(0.5),
-    ),
-    of_number(
-        "sigma_clamp",
-        "sigma-clamp-variance",
-        "the answer is the variance: exp(2 raw)",
-        "sigma",
-        deviation(2.0),
+        **halved("raw"),
     ),
     known(
         "step_floor",
         "step-floor-half-argument",
         "q = 2 Q_0 sigmoid(u): the sigmoid of 2 u is meant",
-        inputs={"u": lambda u: u / 2},
-        inputs_bar={"u": lambda bar, _: bar / 2},
+        **halved("u"),
     ),
     known(
         "step_floor",
@@ -184,10 +149,6 @@ def density(given, _):
     z, w = given["z"], given["w"]
     log_p = np.log(w) - z * z / 2 - np.log(2 * np.pi) / 2
     return {"log_p": log_p, "slope_z": -z, "slope_w": 1 / w}, {}
-
-
-def with_w(out, given):
-    return {**out, "slope_w": 2 * out["slope_w"]}
 
 
 BINS = [
@@ -208,7 +169,7 @@ BINS = [
         "gaussian-bin-whole-width",
         "the bin reaches from z - w to z + w: the half before w is missing",
         inputs={"w": lambda w: 2 * w},
-        outputs=with_w,
+        outputs={"slope_w": lambda slope: 2 * slope},
     ),
     known(
         "gaussian_bin",
@@ -216,13 +177,6 @@ BINS = [
         "the bin reaches from z to z + w instead of from z - w/2 to z + w/2",
         inputs=lambda given: {**given, "z": given["z"] + given["w"] / 2},
         outputs=lambda out, given: {**out, "slope_w": out["slope_w"] + out["slope_z"] / 2},
-    ),
-    known(
-        "gaussian_bin",
-        "gaussian-bin-erf",
-        "Phi(x) is taken as (1 + erf(x)) / 2: the root of 2 is missing",
-        inputs={name: lambda a: a * np.sqrt(2) for name in ("z", "w")},
-        outputs={name: lambda a: a * np.sqrt(2) for name in ("slope_z", "slope_w")},
     ),
 ]
 
@@ -247,15 +201,6 @@ GEOMETRY = [
     ),
     known(
         "lens",
-        "lens-half-pixel-first",
-        "half a pixel is subtracted before the division by downscale, not after it",
-        outputs=lambda out, given: {
-            **out,
-            "center": out["center"] + 0.5 - 0.5 / given["downscale"],
-        },
-    ),
-    known(
-        "lens",
         "lens-whole-angle",
         "the focal length is w / (2 tan(angle)): the tangent of half the angle is meant",
         outputs=lambda out, given: (
@@ -268,12 +213,6 @@ GEOMETRY = [
                 / np.tan(given["camera_angle_x"]),
             }
         ),
-    ),
-    known(
-        "lens",
-        "lens-focal-not-scaled",
-        "downscale divides the principal point alone, not the focal lengths",
-        outputs=lambda out, given: {**out, "focal": out["focal"] * given["downscale"]},
     ),
     *of_scalar("pixel", geometry.CAMERAS, PIXEL, of_points),
     known(
@@ -361,21 +300,6 @@ BOUNDS = [
         "prior-no-lower-clamp",
         "raw sigma is clamped at its upper end alone",
         {"np.clip(raw, RAW_MIN, RAW_MAX)": "np.minimum(raw, RAW_MAX)", FREE: "raw <= RAW_MAX"},
-    ),
-    edited(
-        "prior",
-        "prior-no-upper-clamp",
-        "raw sigma is clamped at its lower end alone",
-        {"np.clip(raw, RAW_MIN, RAW_MAX)": "np.maximum(raw, RAW_MIN)", FREE: "raw >= RAW_MIN"},
-    ),
-    edited(
-        "step",
-        "step-absolute-floor",
-        "the floor of q is 2^-10 instead of 2^-10 Q_0",
-        {
-            "Q_0 * np.maximum(share, SMALLEST)": "np.maximum(Q_0 * share, SMALLEST)",
-            "np.where(share > SMALLEST,": "np.where(Q_0 * share > SMALLEST,",
-        },
     ),
 ]
 
