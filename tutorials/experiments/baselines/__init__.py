@@ -12,7 +12,7 @@ G1 to G4 to 4DGS.
 
 import numpy as np
 
-from p4dgs_ref.scenes.files import reading
+from p4dgs_ref.scenes.files import one_line_errors
 
 from . import d3dgs, explicit, gaussian4d, hexplane
 
@@ -27,7 +27,7 @@ METHODS = {
 
 def load(path):
     """The model in a PLY file of any method. Raises ValueError for another file."""
-    with reading(path, "the file of a baseline"):
+    with one_line_errors(path, "the file of a baseline"):
         return model_of(*explicit.read_file(path))
 
 
