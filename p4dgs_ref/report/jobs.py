@@ -47,7 +47,7 @@ def main_job(
     """
     start = time.perf_counter() if start is None else start
     preset, name = choose(preset, changes), re.sub(r"[/\\:]", "_", scene.name)
-    with kept_training(folder) as keep, staged_folder(folder) as staging:
+    with keep_training(folder) as keep, staged_folder(folder) as staging:
         path = staging / f"{name}.p4dgs"
         for file in (path.name, "metrics.json"):
             refuse_existing(Path(folder) / file)
@@ -99,7 +99,7 @@ def main_job(
 
 
 @contextmanager
-def kept_training(folder):
+def keep_training(folder):
     """Yield a function that saves a trained Trainer; the checkpoint stays if a later step fails."""
     checkpoint = Path(folder) / CHECKPOINT
     refuse_existing(checkpoint, HOW_TO_RESUME)

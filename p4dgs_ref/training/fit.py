@@ -114,7 +114,7 @@ def run(trainer, folder, resume, stream, save_every=SAVE_EVERY):
             progress(trainer, losses, rendered, view)
             has_drawn |= bool(rendered.visible.any())
             if not has_drawn and trainer.iteration == len(trainer.scene.train) < total:
-                warnings.warn(f"after a round of all views, {advice.drawn_nothing(trainer)}")
+                warnings.warn(f"after a round of all views, {advice.nothing_is_drawn(trainer)}")
             if time.monotonic() - saved > save_every:
                 save()
                 saved = time.monotonic()

@@ -145,6 +145,28 @@ def test_pictures_are_the_same_in_a_program_with_other_settings(done, tmp_path):
     assert (tmp_path / "training.png").read_bytes() == (folder / "training.png").read_bytes()
 
 
+def test_letters_that_the_font_lacks_give_one_clean_title(done, scene, tmp_path):
+    """Warnings are errors here, and matplotlib warns of every letter without a glyph."""
+    assert report.literal("Bär 日本 $1") == r"Bär ?? \$1"
+    _, rows, images = p4.evaluate(p4.decode((done[0] / "bouncing.p4dgs").read_bytes()), scene)
+    report.write_comparison(tmp_path, replace(scene, name="日本"), rows, images)
+
+
+def test_a_film_of_what_does_not_move_goes_around_it(done, scene, monkeypatch, tmp_path):
+    moving = p4.decode((done[0] / "bouncing.p4dgs").read_bytes())
+    still = replace(moving, design=replace(moving.design, effects=("occlusion",)))
+    for model, count in ((moving, 1), (still, 12)):
+        film = report.film_views(model, frames=12, azimuth=10, size=16)
+        centers = {tuple(np.round(camera.center, 6)) for camera, _ in film}
+        assert len(centers) == count and [t for _, t in film] == list(np.linspace(0, 1, 12))
+        seen = []
+        monkeypatch.setattr(
+            type(model), "render", lambda self, c, t: seen.append(c) or np.ones((16, 16, 3))
+        )
+        report.write_motion(tmp_path / "film.gif", model, scene, frames=12)
+        assert len({id(camera) for camera in seen}) == (1 if model is moving else 12)
+
+
 def test_measures_against_sums_by_hand(scene):
     rng, view = np.random.default_rng(0), scene.test[1]
     image = view.image + rng.normal(size=view.image.shape) * 0.2

@@ -41,6 +41,17 @@ def test_every_form_of_file_gives_the_same_points(tmp_path):
         assert np.array_equal(read_points(tmp_path / name), POINTS.astype(dtype)), name
 
 
+def test_headers_as_other_programs_write_them(tmp_path):
+    """Comments anywhere, names with - and ., blanks at the ends of lines, a second element."""
+    text = LITTLE.replace("comment made by hand\n", "")
+    text = text.replace("\n", " \t\nobj_info by hand  \ncomment end_header, \xe9\n")
+    text = text.replace("red", "f_dc-0.red").removesuffix(
+        "obj_info by hand  \ncomment end_header, \xe9\n"
+    )
+    (tmp_path / "m.ply").write_bytes(text.encode("latin-1") + binary())
+    assert np.array_equal(read_points(tmp_path / "m.ply"), POINTS.astype(np.float32))
+
+
 NPZ = io.BytesIO()
 np.savez(NPZ, POINTS)
 
