@@ -108,7 +108,9 @@ def _case(result):
 
 def _difference(result, finding):
     """Return what is wrong with a tensor and, if there is one for every step, after which."""
-    text = f"{finding.tensor}: {finding.kind}: " * (finding.kind != "value") + finding.message
+    text = finding.message
+    if finding.kind != "value":
+        text = f"{finding.tensor}: {finding.kind}: {text}"
     is_of_step = result.subject.endswith("_steps") and finding.kind != "extra"
     return f"after step {int(finding.tensor.split('.')[2]) + 1}: {text}" if is_of_step else text
 
@@ -129,7 +131,9 @@ def _others(results, known):
         yield from ("", f"{len(results)} more fail:")
     for key in dict.fromkeys(r.subject for r in results):
         rows = [r for r in results if r.subject == key]
-        names = [r.id.split("/")[1] + f" ({r.verdict})" * (r.verdict != "fail") for r in rows]
+        names = [
+            r.id.split("/")[1] + ("" if r.verdict == "fail" else f" ({r.verdict})") for r in rows
+        ]
         more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
         yield f"  {key}: {', '.join(names[:MAX_LISTED])}{more}"
         for head, reason in dict.fromkeys(map(_reason, rows)):

@@ -179,13 +179,10 @@ def scale_rows(a, rng):
 
 # --- the grades as rows and as text ---------------------------------------------------------------
 def rows_of(grades):
-    """Return the table of a class: a row for each student, with the points of every equation.
-
-    A name that a spreadsheet would take for a formula gets an apostrophe.
-    """
+    """Return the table of a class: a row for each student, with the points of every equation."""
     return [
         {
-            "student": "'" * student["student"].startswith(tuple("=+-@")) + student["student"],
+            "student": cell(student["student"]),
             **{row["key"]: row["points"] for row in student["equations"]},
             "points": student["points"],
             "of": student["of"],
@@ -197,12 +194,18 @@ def rows_of(grades):
     ]
 
 
+def cell(text):
+    """Return a text as a cell, with an apostrophe where a spreadsheet would see a formula."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+
+
 def to_text(grades):
     """Return the sums of all students as a table, who are alike, and then the details of each."""
     names = ("student", "points", "of", "alike", "seed", "unusual")
     lines = text_table({name: f"{{{name}}}" for name in names}, rows_of(grades))
     alike = [f"    {' and '.join(p['students'])}: {', '.join(p['keys'])}" for p in grades["alike"]]
-    lines += ["", "alike, which alone does not prove that anybody copied:", *alike] * bool(alike)
+    if alike:
+        lines += ["", "alike, which alone does not prove that anybody copied:", *alike]
     return "\n\n".join(["\n".join(lines), *map(details, grades["students"])])
 
 
