@@ -64,7 +64,8 @@ def lens_vjp(downscale, **fields):
         fields["camera_angle_x"] = None
     distortion = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
     frame = SimpleNamespace(**fields, **distortion, camera_angle_y=None, where="lens")
-    lens, picture = lens_of(frame, frame.w, frame.h), np.zeros((frame.h, frame.w, 3), np.float32)
+    lens = lens_of(frame, frame.w, frame.h, f"{frame.w}x{frame.h}")
+    picture = np.zeros((frame.h, frame.w, 3), np.float32)
     pose = np.eye(3), np.zeros(3)
     camera = make_view("", picture, lens, *pose, 0.0, np.zeros(3), downscale, "lens").camera
     outputs = {
