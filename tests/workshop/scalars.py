@@ -4,6 +4,7 @@ Every subject runs an equation of the paper at its smallest. Networks are the id
 follows them shows.
 """
 
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,7 +68,8 @@ def lens_vjp(downscale, **fields):
     lens = lens_of(frame, frame.w, frame.h, f"{frame.w}x{frame.h}")
     picture = np.zeros((frame.h, frame.w, 3), np.float32)
     pose = np.eye(3), np.zeros(3)
-    camera = make_view("", picture, lens, *pose, 0.0, np.zeros(3), downscale, "lens").camera
+    color, notes = np.zeros(3), Counter()  # which say nothing of a black picture
+    camera = make_view("", picture, lens, *pose, 0.0, color, downscale, "lens", notes).camera
     outputs = {
         "focal": np.array([camera.f_x, camera.f_y]),
         "center": np.array([camera.c_x, camera.c_y]),
