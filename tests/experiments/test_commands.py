@@ -57,9 +57,9 @@ def test_coded_networks_encode_to_the_same_file_again(scene, tmp_path):
     assert file.encode(file.decode(data)) == data
 
 
-def test_what_is_in_the_records_is_printed_and_drawn(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(equal, "PICTURES", tmp_path)
-    assert run(equal.main, ["curve", "--show"]) == run(decision.main, ["-o", f"{tmp_path}"]) == 0
+def test_what_is_in_the_records_is_printed_and_drawn(tmp_path, capsys):
+    there = ["-o", f"{tmp_path}"]
+    assert run(equal.main, ["curve", *there]) == run(decision.main, there) == 0
     shown = capsys.readouterr().out
     assert "| bouncing | coded alike |" in shown and "price of a bit" in shown
     drawn = [

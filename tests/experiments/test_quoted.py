@@ -25,9 +25,14 @@ QUOTES = MARK.findall(PAGE.read_text(encoding="utf-8"))
 
 
 def compared(name):
-    """All rows of comparisons."""
-    rows = curve.read(name)
-    return [row for s in (curve.STORED, curve.ALIKE) for row in curve.compare(rows, s)]
+    """All rows of comparisons, and what they have of each seed."""
+    rows = [row for s in (curve.STORED, curve.ALIKE) for row in curve.compare(of_curve(name), s)]
+    return rows + [seed for row in rows for seed in row["each"]]
+
+
+def of_curve(name):
+    """The rows of a record that curves show."""
+    return curve.shown(read_csv(RECORDS / f"{name}.csv", TEXTS))
 
 
 def coded(name):
@@ -39,8 +44,8 @@ def coded(name):
 KINDS = {
     "coded": coded,
     "compare": compared,
-    "steps": lambda name: steps.bands(curve.read(name)),
-    "numbers": lambda name: numbers.inferred() + numbers.measured(curve.read(name)),
+    "steps": lambda name: steps.bands(of_curve(name)),
+    "numbers": lambda name: numbers.inferred() + numbers.measured(of_curve(name)),
 }
 
 

@@ -2,5 +2,4 @@
 
 from pathlib import Path
 
-PICTURES = Path(__file__).parent / "pictures"
 RECORDS = Path(__file__).parent / "records"

@@ -202,7 +202,7 @@ def prediction(figure, file, cameras, t, anchor):
 def time(figure, model, camera, t, view):
     """Canonical space, the paths of all Gaussians over a second, and their heights.
 
-    The colour of a path is the length of delta_x, that of a height the Gaussian's own.
+    The colour of a path is the time, as in the viewer; that of a height is the Gaussian's own.
     """
     a, c, b = figure.subplot_mosaic("ac;bc", width_ratios=(1, 1.2)).values()
     picture(a, frame(model, camera, None), camera, **view, title="canonical: no time yet")
@@ -212,12 +212,11 @@ def time(figure, model, camera, t, view):
         np.array([model.gaussians(at, camera).x for at in times]),
         model.gaussians(t, camera).color,
     )
-    length = np.linalg.norm(x - model.gaussians(None, camera).x, axis=2)
     places = to_pixels(x, camera)
     pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
     paths = b.add_collection(LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True))
-    paths.set_array((length[:-1] + length[1:]).ravel() / 2)
-    figure.colorbar(paths, ax=b, label="length of Δx\n(scene units)", aspect=6)
+    paths.set_array(np.repeat((times[:-1] + times[1:]) / 2, len(color)))
+    figure.colorbar(paths, ax=b, label="time t", aspect=6)
     heights = np.stack(np.broadcast_arrays(times, x[:, :, 2].T), axis=2)
     c.add_collection(LineCollection(heights, colors=color, lw=0.8, rasterized=True))
     c.autoscale()

@@ -1,9 +1,9 @@
 """The paper in ten pictures: tutorials/tour/*.png and tour.pdf, from the demo's file.
 
-`python -m tutorials.tools.syllabus tour` draws them. tutorials/tour.md is their text, whose numbers
-a test finds in the pictures. `python -m tutorials.tools.tour` makes the other trainings anew
-(the failures of the last picture, and other rates), which takes some minutes; their files lie
-beside the pictures, so that nobody has to train in order to draw.
+`python -m tutorials.tools.syllabus tour` draws them; tutorials/tour.md is their text.
+`python -m tutorials.tools.tour` makes the other trainings again (the failures of the last picture,
+and other rates), which takes some minutes. Their files are beside the pictures, so that nobody has
+to train in order to draw.
 """
 
 from dataclasses import replace
@@ -192,12 +192,15 @@ def bits(figure):
 def breaks(figure):
     """The same picture after failures of training and of decoding."""
     sections = container.read_container(DATA)
-    body = bytearray(sections["deformation_mlp"])
-    body[9217] ^= 64  # the highest bit of a weight's exponent
+    weights = np.frombuffer(sections["deformation_mlp"], "<f2").copy()
+    head = weights[-3 * (DESIGN.deformation[-1] + 1) : -3]  # behind it, there are only its biases
+    head[np.abs(head).argmax()] *= 16  # the one that the viewer breaks
     files = {
         "the file": DATA,
         **{t: place_of(t).read_bytes() for t in ("no noise", "no rate", "rate times 100")},
-        "one bit changed": container.write_container({**sections, "deformation_mlp": bytes(body)}),
+        "one weight changed": container.write_container(
+            {**sections, "deformation_mlp": weights.tobytes()}
+        ),
     }
     shown = {title: (decode(data), data) for title, data in files.items()}
     shown["one symbol twice"] = one_symbol_twice()

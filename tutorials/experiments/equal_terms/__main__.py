@@ -1,7 +1,7 @@
 """Every method on equal terms.
 
-python -m tutorials.experiments.equal_terms curve            makes what the record lacks
-python -m tutorials.experiments.equal_terms curve --show     prints and draws the record
+`python -m tutorials.experiments.equal_terms curve` makes the rows that the record lacks, prints how
+the methods compare, and draws them.
 """
 
 import sys
@@ -12,28 +12,22 @@ p4dgs_ref.prepare()  # before NumPy
 
 from tutorials.tools.shared import in_few_bytes  # noqa: E402
 
-from .. import PICTURES  # noqa: E402
 from ..tables.rows import Parser, rows, run  # noqa: E402
 from . import curve, numbers, picture, steps  # noqa: E402
 
 
 def main(words):
-    """Make what is missing; with --show, print and draw the record as it is."""
+    """Make the rows that are missing, print the tables and draw the curves."""
     parser = Parser(prog="equal_terms", description="Every method on equal terms.")
     parser.of_rows("report/equal_terms")
     parser.add_argument("study", choices=("curve",))
-    parser.add_argument("--show", action="store_true", help="print and draw the record as it is")
     options = parser.parse_args(words)
-    if not options.show:
-        rows(curve.plan(), options.study, options.folder, options.jobs)
-        print(f"to extend the record, copy {options.folder}/{options.study}.csv over it")
-    else:
-        curve.tell(curve.read())
-        steps.tell(curve.read())
-        numbers.tell(curve.read())
-        drawn = PICTURES / "equal_terms.png"
-        picture.draw(curve.read(), drawn)
-        drawn.write_bytes(in_few_bytes(drawn))
+    found = curve.shown(rows(curve.plan(), options.study, options.folder, options.jobs))
+    for table in (curve, steps, numbers):
+        table.tell(found)
+    drawn = options.folder / "equal_terms.png"
+    picture.draw(found, drawn)
+    drawn.write_bytes(in_few_bytes(drawn))
 
 
 if __name__ == "__main__":

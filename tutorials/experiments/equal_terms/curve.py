@@ -6,10 +6,8 @@ makes the rows that `records/curve.csv` lacks, prints how the methods compare, a
 are stored as the authors of a method store them, in float16, or coded alike (`coded`). A method's
 curve goes through its best points: those with a higher PSNR on held-back views than all smaller
 files of this method and storage. So sizes and steps are chosen without the test views, whose PSNR
-is drawn. The paper's design is coded alike with narrow networks alone, which 23 of the 31 points of
-its curves as stored have. One choice needs the test views: the bytes at a PSNR are one number only
-where a curve rises, so a point without a higher PSNR of test views than all smaller files is left
-out then, on all sides.
+is drawn, and no point is left out for its test views. The paper's design is coded alike with narrow
+networks alone, which 23 of the 31 points of its curves as stored have.
 """
 
 from functools import cache, partial
@@ -62,12 +60,13 @@ MEAN = "mean"  # over the scenes
 COLUMNS = {
     "D3DGS / the paper's design": "{scene}",
     "storage": "{storage}",
-    "seeds": "{seeds}",
-    "dB": "{low:.2f} to {high:.2f}",
     "times": "{median:.2f}",
-    "of the seeds": "{first:.2f} to {last:.2f}",
     "": "{verdict}",
+    "first seed": "{cells[0]}",
+    "second": "{cells[1]}",
+    "third": "{cells[2]}",
 }
+OF_SEED = "{median:.2f} ({low:.2f} to {high:.2f} dB, {points} points)"
 
 
 # --- the rows -------------------------------------------------------------------------------------
@@ -162,10 +161,10 @@ def recorded(name):
 
 
 # --- the curves -----------------------------------------------------------------------------------
-def read(name="curve"):
-    """The rows of a record that curves show, with their storage."""
-    rows = [row for row in recorded(name).values() if row["iterations"] == ITERATIONS]
-    return [{**row, "storage": storage_of(row["label"])} for row in rows]
+def shown(rows):
+    """The rows that curves show, with their storage."""
+    of_length = (row for row in rows if row["iterations"] == ITERATIONS)
+    return [{**row, "storage": storage_of(row["label"])} for row in of_length]
 
 
 def storage_of(label):
@@ -186,8 +185,9 @@ def curve_of(rows):
 def compare(rows, storage, scenes=(MEAN, *SCENES)):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
-    Both have networks of one size. Every seed has its curves and its median factor; `median` is
-    the median of these. A difference whose seeds lie on both sides of 1 is none.
+    Both have networks of one size. Every seed has its curves, its range of PSNRs that both reach,
+    and its median factor over the points in this range; `median` is the median of these. A
+    difference whose seeds lie on both sides of 1 is none.
     """
     found = []
     for scene in scenes:
@@ -200,13 +200,11 @@ def compare(rows, storage, scenes=(MEAN, *SCENES)):
         if each and all(each):
             medians = [one["median"] for one in each]
             first, last = min(medians), max(medians)
-            verdict = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
-            names = dict(scene=scene, storage=storage, seeds=len(seeds))
-            levels = dict(
-                low=min(one["low"] for one in each), high=max(one["high"] for one in each)
-            )
-            middle = dict(median=float(np.median(medians)), first=first, last=last)
-            found.append({**names, **levels, **middle, "verdict": verdict})
+            row = dict(scene=scene, storage=storage, each=each, first=first, last=last)
+            row["median"] = float(np.median(medians))
+            row["verdict"] = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
+            row["cells"] = [OF_SEED.format(**one) for one in each]
+            found.append(row)
     return found
 
 

@@ -12,7 +12,6 @@ from p4dgs_ref.report.figures import (
 )
 
 from ..tables.methods import PAPERS
-from ..tables.writer import front
 from .curve import ALIKE, SCENES, STORED, chosen, curve_of
 from .steps import STEPS, bands
 
@@ -41,10 +40,10 @@ def draw(rows, path):
 
     figure, (top, below) = subplots(2, 1, figsize=(11, 10.5), sharex=True, height_ratios=(5, 6))
     for (method, storage), (name, color) in CURVES.items():
-        points = front(curve_of(chosen(rows, method=method, storage=storage)))
+        points = curve_of(chosen(rows, method=method, storage=storage))
         full = "none" if storage == ALIKE else "full"
         look = dict(color=color, markersize=6, fillstyle=full, label=name if len(points) else "")
-        top.semilogx(*points.T, "o-", **look)
+        top.semilogx(*zip(*points), "o-", **look)
     top.set(ylabel="PSNR of test views here (dB)", ylim=(31, 37.5))
     top.legend(loc="lower right", frameon=False, fontsize=10)
     for i, step in enumerate(STEPS):

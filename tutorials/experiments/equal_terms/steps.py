@@ -8,7 +8,7 @@ and not a point.
 import numpy as np
 
 from ..tables.methods import PAPERS
-from ..tables.writer import bytes_at, front
+from ..tables.writer import bytes_at
 from .curve import ALIKE, HALF, SCENES, STORED, chosen, curve_of, markdown
 
 STEPS = {  # the method and the storage of each file
@@ -36,12 +36,11 @@ def bands(rows):
             step: curve_of(chosen(own, method=method, storage=storage))
             for step, (method, storage) in STEPS.items()
         }
-        curves = {step: front(curve) for step, curve in curves.items() if curve}
-        low = max((edge[0, 1] for edge in curves.values()), default=1)
-        high = min((edge[-1, 1] for edge in curves.values()), default=0)
+        reached = [[psnr for _, psnr in curve] for curve in curves.values()]
+        low, high = max(map(min, reached)), min(map(max, reached))
         before = None
-        for step, edge in curves.items() if low <= high else ():
-            sizes = np.array([bytes_at(edge, psnr) for psnr in np.linspace(low, high, LEVELS)])
+        for step, curve in curves.items() if low <= high else ():
+            sizes = np.array([bytes_at(curve, psnr) for psnr in np.linspace(low, high, LEVELS)])
             row = {"scene": scene, "step": step, "low": low, "high": high}
             row |= {"least": sizes.min(), "most": sizes.max()}
             if before is not None:

@@ -1,8 +1,8 @@
-"""Means over seeds, and curves of PSNR over bytes: their fronts and their factors.
+"""Means over seeds, and curves of PSNR over bytes with the factors between them.
 
-A curve is a list of points (bytes, PSNR in dB). In a comparison only its front counts: the points
-with a higher PSNR than all smaller files. Between them, the logarithm of the bytes is interpolated
-over PSNR, which is that of test views: a front is chosen on them.
+A curve is a list of points (bytes, PSNR of test views in dB), chosen on held-back views. In a
+comparison all its points count, in the order of their PSNR; between them, the logarithm of the
+bytes is interpolated over PSNR.
 """
 
 import numpy as np
@@ -39,13 +39,6 @@ def seeds_of(rows):
     return f"seeds: {len({row['seed'] for row in rows})}, ± half their range"
 
 
-def front(points):
-    """The points [n, 2] with a higher PSNR than all smaller files, by size."""
-    points = np.array(sorted(map(tuple, points))).reshape(-1, 2)
-    best = np.maximum.accumulate(points[:, 1])
-    return points[np.diff(best, prepend=-np.inf) > 0]
-
-
 def best(points):
     """Of points that are rows, those with a higher PSNR on held-back views than smaller files."""
     chosen = []
@@ -58,22 +51,23 @@ def best(points):
 def factors(points, others):
     """The median factor from the bytes of `points` to those of `others`.
 
-    They are taken at equal PSNR, at every point of the two fronts that lies in the PSNRs from `low`
+    They are taken at equal PSNR, at every point of the two curves that lies in the PSNRs from `low`
     to `high`, which both reach. Without any, the result is empty.
     """
-    levels = [float(psnr) for curve in (points, others) for _, psnr in front(curve)]
+    levels = [psnr for curve in (points, others) for _, psnr in curve]
     ratios = {psnr: bytes_at(others, psnr) / bytes_at(points, psnr) for psnr in levels}
     ratios = {psnr: ratio for psnr, ratio in ratios.items() if not np.isnan(ratio)}
     return ratios and {
         "low": min(ratios),
         "high": max(ratios),
+        "points": len(ratios),
         "median": float(np.median([*ratios.values()])),
     }
 
 
 def bytes_at(points, psnr):
     """The bytes at which a curve has a PSNR; NaN where it was not measured."""
-    sizes, values = front(points).T
+    sizes, values = np.array(sorted(points, key=lambda point: point[1])).T
     return float(np.exp(np.interp(psnr, values, np.log(sizes), np.nan, np.nan)))
 
 
