@@ -142,7 +142,7 @@ def test_kernels_that_could_be_the_promised_ones_are_told_of(
 def test_a_training_with_other_kernels_says_so(monkeypatch, tmp_path, function):
     """In a program that trains without `prepare`; the training itself is left out."""
     monkeypatch.setattr(advice, "other_kernels", lambda: "the kernels are others")
-    monkeypatch.setattr(fit, "Trainer", None)
+    monkeypatch.setattr(fit, "run", None)
     scene = p4.load_scene("static", downscale=8)
     with pytest.raises(TypeError), pytest.warns(UserWarning, match="^the kernels are others$"):
         function(scene, "smoke", folder=tmp_path)

@@ -25,7 +25,7 @@ CODE = {
     "translation": [(bodies.MOTIONS, kind) for kind in ("line", "bounce", "arc")],
     "rotation": [(bodies.MOTIONS, kind) for kind in ("swing", "spin")],
     "scaling": [(bodies.MOTIONS, "pulse")],
-    "view_geometry": [(bodies, "facing")],
+    "view_geometry": [(bodies, "rotation_to_viewer")],
     "occlusion": [(trace, "nearest")],
     "texture": [(bodies.TEXTURES, kind) for kind in ("checker", "stripes")],
     "diffuse": [(trace, "diffuse")],
