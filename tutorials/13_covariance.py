@@ -164,10 +164,10 @@ print(
 # as the camera of the pictures sees it, with the columns of $M$ as its three half axes.
 
 # %%
-around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 33), np.linspace(-np.pi / 2, np.pi / 2, 17))
+around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
 ball = np.stack([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
 figure, panels = plt.subplots(
-    1, 3, figsize=(13, 4.6), subplot_kw={"projection": "3d"}, layout="constrained"
+    1, 3, figsize=(10, 3.6), subplot_kw={"projection": "3d"}, layout="constrained"
 )
 shapes = 0.05 * np.eye(3), np.diag(s[-1]), M[-1]
 for ax, name, shape in zip(panels, ("a ball", "stretched: $S$", "turned: $RS$"), shapes):
@@ -385,10 +385,7 @@ lessons.check_mistake(real_part_last, "covariance", "covariance-real-last")
 
 # %%
 ORDER, TRANSPOSE = {"shape": real_part_last}, {"shape": of_transpose}
-without.show_changes(
-    "13_covariance_mistakes",
-    {"all there": NOTHING, "real part last": ORDER, "transposed": TRANSPOSE},
-)
+without.show_changes("13_covariance_mistakes", {"real part last": ORDER, "transposed": TRANSPOSE})
 
 # %% [markdown]
 # ## What a codec does with it
