@@ -1,4 +1,4 @@
-"""The four attributes of an anchor in the order in which they are coded, a row each.
+"""The four attributes of an anchor in the order in which they are coded, one row for each.
 
 Code that treats all four alike reads these rows: the coder and the sections of the file. The
 pipelines and training call f_a, s_a, l_a and O_a by their names.

@@ -25,7 +25,7 @@ rng = np.random.default_rng(5)
 
 # %% [markdown]
 # ## What fails without it
-# A network shall move all Gaussians of the trained scene, and all that it reads is their position
+# A network has to move all Gaussians of the trained scene, and it reads only their position
 # and the time. If it reads these numbers as they are, it learns smooth motions first: after 300
 # steps, neighbours of different objects still move alike, and the balls lose their shape (middle).
 # If it reads the numbers as waves, it can tell a ball from the slab after as many steps (right).

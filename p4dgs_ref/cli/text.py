@@ -41,7 +41,7 @@ def metrics(m, folder):
 
 
 def evaluation(m, rows):
-    """Return one line a view, then the means."""
+    """Return one line per view, then the means."""
     width = max(len(row["name"]) for row in rows)
     lines = [f"{row['name']:>{width}}  t {row['time']:.3f}  {quality(row)}" for row in rows]
     return "\n".join([*lines, f"mean of {len(rows)}: {quality(m)}", size(m), times(m)])

@@ -1,4 +1,4 @@
-"""The laboratory: the three demands (accuracy, hard cases, effects), and the classroom."""
+"""The laboratory: what accuracy costs, hard cases, what effects cost, and the classroom."""
 
 
 class StudyError(ValueError):

@@ -61,8 +61,9 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
     which the inputs are given. With `strict`, answers fail that are acceptable only because the
-    printed formula is no better. Raises KeyError if `key` is no subject and no case, TypeError if
-    `forward` is no function, and ValueError if `dtype` is neither float64 nor float32.
+    printed formula is no better. Raises KeyError if `key` is neither a subject nor a case,
+    TypeError if `forward` is not a function, and ValueError if `dtype` is neither float64 nor
+    float32.
     """
     if not callable(forward):
         raise TypeError(f"forward: expected a function, got {type(forward).__name__}")

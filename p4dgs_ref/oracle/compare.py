@@ -16,7 +16,8 @@ intermediate result rounded. The file PRINTED contains:
     <precision>/<subject>/<case>/other.out.x    all tensors if it culls the only Gaussian
 
 If S is so wide that a wrong tensor would be as near as the printed formula, or if the formula
-leaves the range, no answer is acceptable: the tensor is not judged, and the report names it.
+leaves the range, the verdict "acceptable" is not given: the tensor is left without a verdict, and
+the report names it.
 """
 
 from functools import cache

@@ -11,7 +11,7 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 
 
 def page(files, notes=None):
-    """Return the page as bytes, whole in itself: `with_files` with the scripts inside of it."""
+    """Return the page as bytes, complete in one file: `with_files` with the scripts inside."""
     return re.sub(
         r'<script src="(.*)">',
         lambda tag: "<script>\n" + (VIEWER / tag[1]).read_text(encoding="utf-8"),

@@ -162,7 +162,7 @@ def read_head(file):
 
 
 def read_frame(frame, where, head, still):
-    """Return the checked fields of a frame, and `where` it is; what it lacks is the file's."""
+    """Return the checked fields of a frame, and `where` it is; missing ones are the file's."""
     lens = {name: (check, getattr(head, name)) for name, (check, _) in LENS.items()}
     time = {"time": (SHARE, 0.0 if still else REQUIRED)}
     values = fields(frame, where, {**FRAME, **time, **lens}, others=True)

@@ -47,7 +47,7 @@ def require_field(condition, where, expected):
 def numbers(value, where, low, high, shape=(), kind=float) -> Any:
     """Return an array of that shape with numbers in [low, high]; a number for shape ().
 
-    The kind is float or int; true and false are no numbers.
+    The kind is float or int; Booleans are refused.
     """
     values = np.array(np.nan)
     with suppress(ValueError, OverflowError):  # rows of unequal lengths, integers of 400 digits

@@ -6,8 +6,8 @@
 
 All equations of the paper meet here. `loss` calls them in the order of the paper's figures. It
 returns the losses and `back`, which calls their backwards in the opposite order and adds gradients
-where a quantity was used twice. `psnr` is no part of the objective: the line of progress and the
-paper's tables tell the quality of an image by it.
+where a quantity was used twice. `psnr` is not part of the objective; the line of progress and the
+paper's tables use it for the quality of an image.
 """
 
 from typing import NamedTuple

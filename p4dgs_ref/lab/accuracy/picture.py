@@ -15,7 +15,7 @@ LEFT = ("exact", "mirrored")  # choices with a label to the left, because anothe
 
 
 def draw_panel(ax, rows, width):
-    """Draw the points of a question, with its answer in lines of so many letters."""
+    """Draw the points of a question, with its answer in lines of `width` letters."""
     from matplotlib.ticker import NullFormatter
 
     question, losses = QUESTIONS[rows[0]["question"]], [row["loss"] for row in rows]

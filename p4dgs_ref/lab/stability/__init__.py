@@ -5,7 +5,7 @@ and a verdict for each case. The stability map shows the error of four formulas 
 the distance, above and below the mean, and the bin width.
 
 Inputs, cotangents and true values are those of the published vectors, if a case has the same id.
-`hard_cases.json` adds one line a case:
+`hard_cases.json` adds one line per case:
 
     id          "H-R1.6sigma": the group H-R1, then which of its inputs
     equation    its key in the table of equations

@@ -6,7 +6,7 @@
     x_t = x + delta_x, color = D2(x_t - x_c, sh)
     L_total = L_render + lambda_planes (L_space, L_time, L_one)   H3, `plane_losses`
 
-Training begins with a coarse stage in which nothing moves. The fine stage then starts anew with
+Training begins with a coarse stage in which nothing moves. The fine stage then starts again with
 Adam and its learning rates. Positions receive a gradient through the planes, too.
 
 The authors prune only models of more than 200,000 Gaussians; here Gaussians are pruned as in 3DGS.
@@ -129,7 +129,7 @@ class Trainer(explicit.Trainer):
         return super().step()
 
     def schedule(self):
-        """All rates start anew with the fine stage, over whose length they are made."""
+        """Return the rates; all start again with the fine stage and decay over its length."""
         coarse = self.preset.warm_up
         began = coarse if self.iteration >= coarse else 0
         return self.iteration - began, self.preset.iterations - coarse
