@@ -382,6 +382,7 @@ def of_transpose(s, r):
 
 assert close(np.linalg.eigvalsh(real_part_last(s, r)), np.linalg.eigvalsh(Sigma))
 lessons.check_mistake(real_part_last, "covariance", "covariance-real-last")
+lessons.check_mistake(of_transpose, "covariance", "covariance-transposed")
 
 # %%
 ORDER, TRANSPOSE = {"shape": real_part_last}, {"shape": of_transpose}

@@ -107,7 +107,9 @@ assert close(behind[-1], pixel)
 # the disc of anchor 29, which `13_covariance` turned and `14_projection` projected. The disc is
 # nearly opaque, $\alpha = 0.96$, and still it gives only 4.5 % of the pixel, because the splats in
 # front of it leave only 5 % of the light. The purple bars are those of anchor 29, the disc and one
-# more of its Gaussians. Behind them, next to nothing is left for the far side of the ball.
+# more of its Gaussians. Behind them, next to nothing is left for the far side of the ball. [See it
+# move](viewer/demo.html#step=splatting): the viewer paints the splats one after another, and shows
+# the weights in any pixel.
 
 # %%
 gaussians, camera = without.GAUSSIANS, without.CAMERA
@@ -393,7 +395,7 @@ assert np.allclose([*quality.values()], [33.48, 23.30, 19.87, 10.86, 33.48, 33.4
 #   leave. All weights and the share of the background add up to one.
 # - From the back, $B_{i-1} = B_i + \alpha_i (c_i - B_i)$; the same sweep gives all gradients,
 #   $\bar\alpha_i = T_i (c_i - B_i)\cdot g$.
-# - A splat pulls towards the pixels that need it more than what it hides.
+# - A splat moves towards the pixels that need its colour more than what it hides.
 #
 # **Often misunderstood**
 # - *An opaque splat shows.* The disc of anchor 29 has the opacity 0.96 and 4.5 % of its pixel. The
