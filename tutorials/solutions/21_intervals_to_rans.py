@@ -4,11 +4,14 @@
 # %%
 import numpy as np
 
-from p4dgs_ref import lessons, oracle
+from p4dgs_ref import lessons
 from p4dgs_ref.codec import container, streams
 from p4dgs_ref.codec.file import quantised_of
 
-sections = container.read_container((oracle.path() / "model.p4dgs").read_bytes())
+lessons.find_tools()
+from tutorials.tools import tour
+
+sections = container.read_container(tour.DATA)
 model = quantised_of(sections).model
 
 # %% [markdown]

@@ -22,7 +22,6 @@ PICTURES = {  # {picture: the file that a tutorial or a function below writes in
     "covariance.png": "13_covariance.png",
     "compositing.png": "15_compositing.png",
     "file.png": "20_file_byte_by_byte.png",
-    "intervals.gif": "21_intervals_to_rans.gif",
     "desync.png": "22_desync.png",
     "rate_distortion.png": "12_rate_distortion.png",
     "demo.png": "comparison.png",

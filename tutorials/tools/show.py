@@ -161,6 +161,21 @@ def distribution(ax, mu, sigma, symbol, reach=14):
     return float(-np.log2(p[symbol + reach]))
 
 
+def compared(name, shown, camera, t, view, anchor=figures.THREAD.index):
+    """Save a figure of {title: model} side by side, in which one anchor's splats stand out.
+
+    `anchor` is None where the models are of several trainings, in which an index says nothing.
+    """
+    size = {"figsize": (3.3 * len(shown), 3.9), "layout": "constrained"}
+    figure, axes = figures.pyplot().subplots(1, len(shown), **size)
+    for ax, (title, model) in zip(axes, shown.items()):
+        g = model.gaussians(t, camera)
+        mean2d, cov2d, *_ = splats(g, camera, g.index // model.design.k == anchor)
+        picture(ax, frame(model, camera, t), camera, **view, title=title)
+        ellipses(ax, mean2d, cov2d, fc="none", ec=OWN, lw=2.5)
+    figures.show(figure, name)
+
+
 # --- whole figures --------------------------------------------------------------------------------
 def anchors(figure, model, camera, anchor, view):
     """Anchors and children in canonical space, and the ellipses of the children; one stands out."""
