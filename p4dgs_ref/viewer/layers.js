@@ -176,15 +176,15 @@
     return known;
   }
 
-  /** Lines from time 0 (thin, dark) to time 1 (thick, light); a dot ends each. */
+  /** Lines from time 0 (thin, dark, on top) to time 1 (thick, light); a dot ends each. */
   function paths(context, frame) {
     const { count, all, steps } = pathsOf(frame.model, frame.camera);
-    for (let i = 1; i < TIMES; i++) {
+    for (let i = TIMES - 1; i > 0; i--) {
       const path = new Path2D();
       for (let n = 0; n < count; n++) {
         line(path, placeRow(frame, steps[i - 1], n), placeRow(frame, steps[i], n));
       }
-      context.lineWidth = 0.8 + (1.8 * i) / TIMES;
+      context.lineWidth = 0.8 + (3 * i) / TIMES;
       context.strokeStyle = draw.css(i / (TIMES - 1));
       context.stroke(path);
     }

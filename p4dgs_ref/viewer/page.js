@@ -247,7 +247,7 @@
     frame.scale = side / frame.camera.size[0];
     frame.level = Number($("level").value);
     $("legend").hidden = !isBits;
-    if (isBits) tell("legend-low", `${bits().least.toFixed(0)} bits an anchor`);
+    if (isBits) tell("legend-low", `${bits().least.toFixed(0)} bits per anchor`);
     if (isBits) tell("legend-high", `${bits().most.toFixed(0)} bits`);
     const notes = Object.entries(layers.LAYERS)
       .filter(([name]) => $(`layer-${name}`).checked)

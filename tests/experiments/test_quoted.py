@@ -1,4 +1,4 @@
-"""Numbers on the page of experiments are those of the records.
+"""Numbers on the page of experiments and in the tour are those of the records.
 
 `<!-- from records/NAME.csv: KIND -->` marks what stands up to the next comment. KIND says which
 numbers: those of a table of `equal_terms`, otherwise means of rows over seeds and scenes.
@@ -21,7 +21,10 @@ from tutorials.experiments.tables.writer import means
 PAGE = Path(equal_terms.__file__).parents[1] / "README.md"
 MARK = re.compile(r"<!-- from records/(\w+)\.csv(?:: (.+?))? -->(.+?)(?=<!--|\Z)", re.DOTALL)
 NUMERAL = re.compile(r"(?<![\w.,=])\d+(?:,\d{3})*(?:\.\d+)?(?![\w]|[.,]\d)")
-QUOTES = MARK.findall(PAGE.read_text(encoding="utf-8"))
+TOUR = PAGE.parents[1] / "tour.md"
+QUOTES = [
+    quote for page in (PAGE, TOUR) for quote in MARK.findall(page.read_text(encoding="utf-8"))
+]
 
 
 def compared(name):

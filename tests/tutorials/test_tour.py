@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from p4dgs_ref.report import figures
+from p4dgs_ref.report import figures, view
 from tests.sampling import few
 from tutorials.tools import tour
 from tutorials.tools.figures import STYLE
@@ -28,3 +28,10 @@ def test_a_picture_can_be_drawn(title):
 
 def test_slides_have_ten_pages():
     assert len(re.findall(rb"/Type /Page\b", (FOLDER / "tour.pdf").read_bytes())) == 10
+
+
+def test_parts_of_a_file_have_the_same_colours_in_the_viewer():
+    page = (view.VIEWER / "page.html").read_text(encoding="utf-8")
+    in_viewer = re.findall(r'\[data-part="(\w+)"\] \{ background-color: (#\w{6});', page)
+    in_tour = {name: color.lower() for name, (_, color) in tour.SECTIONS.items()}
+    assert dict(in_viewer) == in_tour, "picture 9 of the tour and the strip of step 8 differ"

@@ -185,11 +185,14 @@ def anchors(figure, model, camera, anchor, view):
     left.set(
         title=f"{model.count} anchors (black), {len(g.x)} children (blue)",
         xlabel=f"here k = {model.design.k}: {model.anchors.mask.sum(axis=1).mean():.1f} are left\n"
-        f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left;\n"
-        "anchors save 87 % of T-Rex (its Table 3)",
+        f"in the paper k = {PAPER_SYNTHETIC.k}: 3 to 4 are left",
     )
     families(left, model, camera, anchor)
     picture(right, image, camera, **view, title="the children, drawn as Gaussians")
+    right.set_xlabel(
+        "anchors save 87 % of T-Rex's file (paper, Table 3),\n"
+        "here 85 % of the Gaussians' bytes, but not of the file"
+    )
     of_anchor = g.index // model.design.k == anchor
     others = ~of_anchor
     for which, colors, width in ((others, 0.7 * g.color[others], 1), (of_anchor, OWN, 4)):
@@ -222,22 +225,25 @@ def time(figure, model, camera, t, view):
     a, c, b = figure.subplot_mosaic("ac;bc", width_ratios=(1, 1.2)).values()
     picture(a, frame(model, camera, None), camera, **view, title="canonical: no time yet")
     image, times = 0.3 * frame(model, camera, t) + 0.7, np.linspace(0, 1, 61)
-    picture(b, image, camera, **view, title="the paths of one second")
+    picture(b, image, camera, **view, title="paths of one Gaussian in five")
     x, color = (
         np.array([model.gaussians(at, camera).x for at in times]),
         model.gaussians(t, camera).color,
     )
-    places = to_pixels(x, camera)
+    # Late ones are drawn first and wider, and few of all, so that the colours can be seen.
+    places = to_pixels(x[::-1, ::5], camera)
     pieces = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 2)
-    paths = b.add_collection(LineCollection(pieces, cmap=AMOUNT, lw=2, rasterized=True))
-    paths.set_array(np.repeat((times[:-1] + times[1:]) / 2, len(color)))
+    ends = np.repeat(times[:0:-1], places.shape[1])
+    lines = LineCollection(pieces, cmap=AMOUNT, lw=2 + 5 * ends, rasterized=True)
+    lines.set_array(ends)
+    paths = b.add_collection(lines)
     figure.colorbar(paths, ax=b, label="time t", aspect=6)
     heights = np.stack(np.broadcast_arrays(times, x[:, :, 2].T), axis=2)
     c.add_collection(LineCollection(heights, colors=color, lw=0.8, rasterized=True))
     c.autoscale()
     c.set(
         title=f"heights: {(np.ptp(x[:, :, 2], axis=0) > 0.1).sum()} of {len(color)} Gaussians move",
-        xlabel="time t",
+        xlabel="time t\nmotion: 33.9 dB instead of 20.0, for 13,715 bytes",
         ylabel="height (scene units)",
     )
 

@@ -264,7 +264,7 @@ def page(title):
 
 @figures.figure_style(STYLE)  # of the colour bars' numbers, which the drawing makes
 def draw_pictures():
-    """Write all pictures, in 256 colours each, and the PDF, one picture a page."""
+    """Write all pictures, in 256 colours each, and the PDF with one picture per page."""
     with (
         output.staged_folder(shared.FOLDER) as staging,
         PdfPages(staging / "tour.pdf", metadata=handout.UNDATED) as pages,
