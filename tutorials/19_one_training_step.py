@@ -3,7 +3,7 @@
 #
 # **Promise.** After this you know every array of a training step by its shape, and you can say by
 # how much the error of one pixel's red value moved one feature of one anchor. **Before it:**
-# `18_four_stages`. **Takes** ten seconds on two cores, 25 minutes of reading and 30 of exercises.
+# `18_four_stages`. **Takes** 20 seconds on two cores, 25 minutes of reading and 30 of exercises.
 #
 # **Files:** [objective.py](../p4dgs_ref/training/objective.py),
 # [parameters.py](../p4dgs_ref/training/parameters.py) (Adam),
