@@ -7,11 +7,12 @@ import os
 from contextlib import nullcontext
 from glob import glob
 
+from ..oracle import published
 from ..output import new_file, staged_folder
 from ..report.figures import write_csv
 from ..scenes.load import packaged_folder
 from . import ask, print_result, progress, require_usage, show
-from .job import load
+from .job import load, read_file
 
 JOBS = os.cpu_count() or 1  # processes of the short trainings of --suggest
 
@@ -21,11 +22,17 @@ def accuracy(arguments):
     from ..lab import accuracy as study
     from ..lab.accuracy import picture
 
+    _, model, _ = read_file(arguments.file or published.path() / "model.p4dgs")
     with staged_folder(arguments.output) as staging:
-        rows = study.measure(progress)
+        rows = study.measure(model, load(arguments), progress)
         write_csv(staging / "accuracy.csv", rows)
         picture.draw(staging / "accuracy.png", rows)
-    print_result(f"{study.to_text(rows)}\npicture: {arguments.output}/accuracy.png")
+    print_result(f"{study.to_text(rows)}\n{written(arguments, 'accuracy')}")
+
+
+def written(arguments, name):
+    """Return a line that names the picture of a command and its numbers."""
+    return f"picture: {arguments.output}/{name}.png, its numbers: {name}.csv"
 
 
 def hard_cases(arguments):
@@ -34,8 +41,10 @@ def hard_cases(arguments):
 
     with staged_folder(arguments.output) as staging:
         cases = rows(arguments.only)
+        write_csv(staging / "stability.csv", cases)
         draw_map(staging / "stability.png")
-    show(arguments, {"cases": cases}, f"{to_text(cases)}\nmap: {arguments.output}/stability.png")
+    table = to_text(cases, arguments.all or arguments.only)
+    show(arguments, {"cases": cases}, f"{table}\n{written(arguments, 'stability')}")
     return int(any(row["verdict"] == "fails" for row in cases))
 
 
@@ -51,9 +60,9 @@ def effects(arguments):
     scene = load(arguments)
     with staged_folder(arguments.output) as staging:
         ledger = effect_ledger.of_scene(scene)
-        effect_ledger.draw_ledger(staging / "effects.png", ledger["effects"])
-    text = f"{effect_ledger.to_text(ledger)}\npicture: {arguments.output}/effects.png"
-    show(arguments, ledger, text)
+        write_csv(staging / "effects.csv", ledger["effects"])
+        effect_ledger.draw_ledger(staging / "effects.png", ledger)
+    show(arguments, ledger, f"{effect_ledger.to_text(ledger)}\n{written(arguments, 'effects')}")
 
 
 def suggest_effects(arguments):

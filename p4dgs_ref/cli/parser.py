@@ -262,6 +262,9 @@ GROUPS = {
             "lab.accuracy",
             "what accuracy costs in time: renderers, precision, Eq. (11), noise",
             (
+                option("file", nargs="?", help="a .p4dgs file (default: a small one, shipped)"),
+                option("scene", nargs="?", default="bouncing", help="the scene of this file"),
+                DOWNSCALE,
                 output(
                     "folder for accuracy.png and accuracy.csv (default report)", default="report"
                 ),
@@ -275,7 +278,11 @@ GROUPS = {
                 option(
                     "--only", metavar="ID", help="only this case or group of cases, such as H-R1"
                 ),
-                output("folder for the map, stability.png (default report)", default="report"),
+                switch("--all", "print every row, not one for each equation"),
+                output(
+                    "folder for stability.png, a map, and stability.csv (default report)",
+                    default="report",
+                ),
             ),
         ),
         "effects": (
@@ -288,7 +295,7 @@ GROUPS = {
                 switch("--suggest", "only print which effects the pictures call for, and why"),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 YES,
-                output("folder for effects.png (default report)", default="report"),
+                output("folder for effects.png and effects.csv (default report)", default="report"),
             ),
         ),
     },

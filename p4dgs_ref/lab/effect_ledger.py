@@ -7,6 +7,7 @@ another one stay.
 
 from collections import Counter
 from dataclasses import replace
+from textwrap import fill
 
 from .. import effects as fx
 from ..model import ANCHOR_NETWORKS, declared_numbers
@@ -91,9 +92,9 @@ def toggle_effect(scene, effect):
 def of_scene(scene):
     """Return the ledger of a scene, from untrained models of `tiny` and its test views.
 
-    Returns {"effects": a row {effect, listed, work, bytes} for each, "never_called": equations
-    that no effect of the list needs}. An effect that is not listed has the fields if_work and
-    if_bytes: what it would cost.
+    Returns {"scene": its name, "effects": a row {effect, listed, work, bytes} for each,
+    "never_called": equations that no effect of the list needs}. An effect that is not listed has
+    the fields if_work and if_bytes: what it would cost.
     """
     frames = [(view.camera, view.time) for view in scene.test]
     found, called = costs(Trainer(scene, TINY).model(), frames)
@@ -105,7 +106,8 @@ def of_scene(scene):
         with_it = Trainer(toggle_effect(scene, row["effect"]), TINY).model()
         cost = costs(with_it, frames)[0][row["effect"]]
         row |= {f"if_{kind}": amount for kind, amount in cost.items()}
-    return {"effects": rows, "never_called": [key for key in ONLY_FOR_EFFECTS if key not in called]}
+    never_called = [key for key in ONLY_FOR_EFFECTS if key not in called]
+    return {"scene": scene.name, "effects": rows, "never_called": never_called}
 
 
 # --- the ledger as text and as a picture ----------------------------------------------------------
@@ -115,8 +117,8 @@ def amount(row, kind):
     return f"{row[kind]:,}{if_listed}"
 
 
-def to_text(result):
-    """Return the ledger as text, a line per effect, and the equations that were never called."""
+def to_text(ledger):
+    """Return the ledger as text: what it says, and a line per effect."""
     columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
     columns |= {"bytes of weights": "{bytes}"}
     cells = [
@@ -125,25 +127,34 @@ def to_text(result):
             "yes": "yes" if row["listed"] else "no",
             **{kind: amount(row, kind) for kind in ("work", "bytes")},
         }
-        for row in result["effects"]
+        for row in ledger["effects"]
     ]
-    never = ", ".join(result["never_called"]) or "none"
-    return "\n".join([*text_table(columns, cells), "", f"equations never called: {never}"])
+    return "\n".join([*answer(ledger), "", *text_table(columns, cells)])
+
+
+def answer(ledger):
+    """Return what a ledger says, in lines."""
+    listed = [row["effect"] for row in ledger["effects"] if row["listed"]]
+    return (
+        f"{ledger['scene']} lists {', '.join(listed) or 'no effect'}",
+        f"equations never called: {', '.join(ledger['never_called']) or 'none'}",
+        "counted in an untrained model of the preset tiny",
+    )
 
 
 @figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
-def draw_ledger(path, rows):
+def draw_ledger(path, ledger):
     """Draw work and bytes of every effect.
 
     Those that the scene does not list are at zero; in brackets is what they would cost.
     """
     panels = {
-        "work": "Work: multiplications of a frame",
+        "work": "Work: multiply-adds of a frame",
         "bytes": "Bytes of its weights (float16)",
     }
-    figure, axes = subplots(len(panels), figsize=(4.2, 4.4))
+    figure, axes = subplots(len(panels), figsize=(4.2, 5.2))
     for ax, (kind, title) in zip(axes, panels.items()):
-        for row in rows:
+        for row in ledger["effects"]:
             ax.barh(row["effect"], row[kind], color=BLUE)
             ax.annotate(
                 amount(row, kind),
@@ -157,5 +168,6 @@ def draw_ledger(path, rows):
         ax.set(xticks=[], xmargin=0.8)
         ax.invert_yaxis()
         ax.spines[["top", "right", "bottom"]].set_visible(False)
-    figure.suptitle("An effect that the scene does not list is at 0.", fontsize=10.5)
+    lines = [fill(line, 52) for line in (*answer(ledger), "not listed: 0 (in brackets: if listed)")]
+    figure.suptitle("\n".join(lines), fontsize=10.5, x=0.02, ha="left")
     save_figure(figure, path)

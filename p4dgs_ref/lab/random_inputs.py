@@ -45,9 +45,3 @@ def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
         depth=rng.uniform(1, 5, size=n),
         visible=np.ones(n, bool),
     )
-
-
-def cov2d_of(conic):
-    """Return the covariances (a, b, c) of splats from their conics, which are the inverses."""
-    a, b, c = conic.T
-    return np.stack([c, -b, a], axis=1) / (a * c - b * b)[:, None]

@@ -11,7 +11,7 @@ from tests.workshop import demo
 from tutorials.experiments import RECORDS
 from tutorials.experiments.coded_networks import decision
 from tutorials.experiments.equal_terms import curve
-from tutorials.experiments.tables import ablate, effects, training
+from tutorials.experiments.tables import ablate, effects, likelihood, training
 from tutorials.experiments.tables.rows import KEY, TEXTS, make_row
 
 LONGEST = 150  # seconds of the processor that the row of a day may take
@@ -32,6 +32,7 @@ PLANS = {
     "curve": curve.plan,
     "training": of_bouncing(training),
     "effects": of_bouncing(effects),
+    "likelihood": of_bouncing(likelihood),
 }
 
 

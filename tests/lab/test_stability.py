@@ -40,7 +40,9 @@ def test_rows_are_as_scripts_expect(rows):
     assert all(wanted <= set(row) for row in rows)
     assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in rows)
     text = stability.to_text(rows)
-    assert text.splitlines()[-1] == f"{len(rows)} rows, 0 beyond their bounds"
+    assert text.splitlines()[0] == f"{len(rows)} rows, 0 beyond their bounds"
+    worst = stability.to_text(rows, every=False).splitlines()
+    assert len(worst) == 3 + len({row["equation"] for row in rows})
     assert "H-R1.9sigma" in text
 
 
@@ -71,8 +73,8 @@ def wrong_gradients(saved, bits_bar):
 @pytest.mark.parametrize(
     "changes",
     [
-        dict(forward=formulas.literal, backward=likelihood.backward),
-        dict(forward=formulas.hac, backward=likelihood.backward),
+        dict(forward=formulas.as_printed, backward=likelihood.backward),
+        dict(forward=formulas.FORMULAS["HAC's floor"], backward=likelihood.backward),
         dict(forward=likelihood.forward, backward=wrong_gradients),
     ],
 )
@@ -106,7 +108,11 @@ def test_errors_are_relative_to_the_right_number(got, want, each, error):
 # --- Eq. (11) ------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "formula, comes_back",
-    [(likelihood.forward, True), (formulas.hac, False), (formulas.literal, False)],
+    [
+        (likelihood.forward, True),
+        (formulas.FORMULAS["HAC's floor"], False),
+        (formulas.as_printed, False),
+    ],
 )
 def test_an_outlier_comes_back(formula, comes_back):
     """H-R2: a value 40 sigma away, moved by the gradient alone in a thousand small steps."""
@@ -123,7 +129,7 @@ def test_an_outlier_comes_back(formula, comes_back):
 def test_the_map_shows_both_sides_of_the_mean(monkeypatch):
     figures = []
     monkeypatch.setattr(stability, "save_figure", lambda figure, path: figures.append(figure))
-    stability.draw_front(None)
+    stability.draw_map(None)
     axes, *_ = figures[0].axes
     assert axes.get_ylim() == (-1000, 1000) and axes.get_title() == "as printed, float64"
     shown = axes.collections[0].get_array() > stability.LEVELS[1]  # red
@@ -140,6 +146,10 @@ def test_the_command_fails_where_a_case_fails(tmp_path, monkeypatch, capsys):
     assert {row["id"] for row in found["cases"]} == {"H-R1.9sigma"}
     assert main([*arguments, "H-R99"]) == 2
     assert "H-R99" in capsys.readouterr().err
-    worse = altered(EQUATIONS["likelihood"], forward=formulas.hac, backward=likelihood.backward)
+    worse = altered(
+        EQUATIONS["likelihood"],
+        forward=formulas.FORMULAS["HAC's floor"],
+        backward=likelihood.backward,
+    )
     monkeypatch.setitem(EQUATIONS, "likelihood", worse)
     assert main([*arguments, "H-R1.9sigma"]) == 1

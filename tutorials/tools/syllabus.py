@@ -3,7 +3,7 @@
 python -m tutorials.tools.syllabus            draw all pictures and write the index
 python -m tutorials.tools.syllabus 06 demo    only those of these tutorials and of the demo
 python -m tutorials.tools.syllabus tour       only the ten pictures of the tour
-python -m tutorials.tools.syllabus records    only those of the records of accuracy and of effects
+python -m tutorials.tools.syllabus front      only the three that commands draw on the first page
 python -m tutorials.tools.syllabus index      only the index
 
 Each of these also draws the architecture and writes the glossary and the handout.
@@ -153,7 +153,7 @@ MAKERS = {  # {word: what draws pictures into a folder}; `tour` has a folder of 
     "00": draw_whole_paper,
     **{tutorial.name[:2]: draw_tutorial(tutorial.name) for tutorial in TUTORIALS},
     "demo": gallery.draw_demo,
-    "records": gallery.draw_records,
+    "front": gallery.draw_front,
     "tour": lambda _: tour.draw_pictures(),
 }
 

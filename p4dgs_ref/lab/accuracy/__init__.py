@@ -2,7 +2,7 @@
 
 A row has the question, the choice, its loss, the Times of one call (`ms`, its quartiles and the
 `stretch` of the wall clock), and `arithmetic`. The first choice of a question is the reference that
-the others are compared with.
+the others are compared with. A training step, which has no loss, is timed together with Eq. (11).
 """
 
 from typing import Any, NamedTuple
@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...arithmetic import arithmetic
-from ..clock import Times, alternate, differ, disturbance
-from ..writer import group_rows, read_csv, text_table
+from ...training.presets import TINY
+from ..clock import Times, alternate, differ, disturbance, step_at
+from ..writer import align, group_rows, read_csv
 from . import forms
 
 TURNS = 5  # of every form, at least
+STEP = "a training step"
 TEXTS = ("question", "choice", "arithmetic")  # the columns of the record without numbers
 
 
@@ -25,9 +27,7 @@ class Question(NamedTuple):
     ours: str  # the choice of this project
     answer: str  # the choice that the title of the panel compares with the reference
     loss: str  # form of a row's loss, as text
-    axis: str  # what the loss is
-    unit: str
-    scale: str  # of its axis
+    label: str  # of the axis of the loss
 
 
 QUESTIONS = {
@@ -36,46 +36,41 @@ QUESTIONS = {
         "fast",
         "fast",
         "off by {loss:.2g} grey levels",
-        "error (grey levels of 255)",
-        "grey levels",
-        "log",
+        "off by (of 255)",
     ),
     "precision": Question(
         forms.precision,
         "float32",
         "float32",
         "off by {loss:.0e} of the gradient",
-        "error of the gradient (of 1)",
-        "of 1",
-        "log",
+        "off by (of 1)",
     ),
     "Eq. (11)": Question(
         forms.eq_11,
         "ours",
         "as printed",
-        "wrong in {loss:.1f} % of bins",
-        "bins with wrong bits (%)",
-        "% of bins",
-        "linear",
+        "wrong in {loss:.1f} % of all bins",
+        "wrong (%)",
     ),
     "noise": Question(
         forms.noise_draws,
         "1 draw",
         "1 draw",
         "off by {loss:.2g} % of the bits",
-        "error of the rate (%)",
-        "% of bits",
-        "log",
+        "off by (%)",
     ),
 }
 
 
-def measure(progress=lambda line: None):
-    """Return the rows of all questions."""
+def measure(model, scene, progress=lambda line: None):
+    """Return the rows of all questions, measured on a trained model and its scene."""
     rows = []
     for name, question in QUESTIONS.items():
         progress(f"accuracy: {name}")
-        for choice, columns in measure_in_turns(question.measure()).items():
+        choices = question.measure(model, scene.test)
+        if name == "Eq. (11)":
+            choices[STEP] = step_at(scene, TINY, 4), lambda result: np.nan
+        for choice, columns in measure_in_turns(choices).items():
             rows.append({"question": name, "choice": choice, **columns, "arithmetic": arithmetic()})
     return rows
 
@@ -100,24 +95,34 @@ def by_question(rows):
     return {name: group for (name,), group in group_rows(rows, "question").items()}
 
 
-def comparison(row, reference):
-    """Return a row beside its reference as text: what is lost, and how many times as fast it is."""
-    one, other = (Times(r["ms"], r["ms_low"], r["ms_high"], 1) for r in (row, reference))
-    factor = one.ms / other.ms
-    faster = f"{1 / factor:.3g} times as fast" if factor < 1 else f"{factor:.3g} times as slow"
-    return {
-        **row,
-        "reference": reference["choice"],
-        "time": duration(one.ms),
-        "was": duration(other.ms),
-        "faster": faster if differ(one, other) else "as fast",
-        "lost": QUESTIONS[row["question"]].loss.format(**row),
-    }
+def comparison(row, group):
+    """Return how fast a row is beside the first of its group, as text."""
+    times = {r["choice"]: times_of(r) for r in group}
+    one, (name, other) = times[row["choice"]], next(iter(times.items()))
+    if not differ(one, other):
+        return f"cannot tell which is faster, it or {name}"
+    factor = other.ms / one.ms
+    text = f"{factor:.3g} times as fast" if factor > 1 else f"{1 / factor:.3g} times as slow"
+    step = times.get(STEP)
+    share = f" ({100 * abs(other.ms - one.ms) / step.ms:.2g} % of a training step)" if step else ""
+    return f"{text} as {name}{share}"
 
 
-def duration(ms):
-    """Return a time in three digits, with its unit."""
-    return f"{ms / 1e3:.3g} s" if ms >= 1e3 else f"{ms:.3g} ms"
+def loss_of(row):
+    """Return what a row loses, as text."""
+    return QUESTIONS[row["question"]].loss.format(**row)
+
+
+def times_of(row):
+    """Return the Times of a row."""
+    return Times(*(row[name] for name in Times._fields))
+
+
+def duration(ms, *quartiles):
+    """Return a time in three digits, with its quartiles, if any, and its unit."""
+    unit, scale = ("s", 1e-3) if ms >= 1e3 else ("ms", 1)
+    between = " to ".join(f"{scale * value:.3g}" for value in quartiles)
+    return f"{scale * ms:.3g}{f' ({between})' if quartiles else ''} {unit}"
 
 
 def disturbance_note(rows):
@@ -126,12 +131,14 @@ def disturbance_note(rows):
 
 
 def to_text(rows):
-    """Return the table: every choice but the references, with what it saves and loses."""
-    columns = {"question": "{question}", "choice": "{choice}", "time": "{time}"}
-    columns |= {"instead of": "{reference}", "its time": "{was}", "so it is": "{faster}"}
-    columns |= {"what is lost": "{lost}"}
-    cells = [comparison(row, group[0]) for group in by_question(rows).values() for row in group[1:]]
-    end = "Times are of one processor."
-    return "\n".join(
-        [*text_table(columns, cells), "", end, *filter(None, [disturbance_note(rows)])]
-    )
+    """Return the table: for every choice its time, what it saves and what it loses."""
+    cells = [["question", "choice", "time", "it is", "what is lost"]]
+    for question, group in by_question(rows).items():
+        for row in group:
+            compared = lost = "-"
+            if row["choice"] != STEP:
+                lost = loss_of(row) if row["loss"] else "nothing"
+                compared = "-" if row is group[0] else comparison(row, group)
+            cells.append([question, row["choice"], duration(*times_of(row)[:3]), compared, lost])
+    end = "Times are processor times: the median and, in brackets, both quartiles."
+    return "\n".join([*align(cells), "", end, *filter(None, [disturbance_note(rows)])])

@@ -20,32 +20,30 @@ from ...equations import likelihood
 DIGITS = Path(__file__).with_name("sixty_digits.json")
 PHI_0 = 1 / math.sqrt(2 * math.pi)  # density of the standard Gaussian at its mean
 SMALLEST_BITS = 1e-6  # errors of fewer bits are relative to this
-HAC_FLOOR = 1e-6  # of p, in HAC: at most 19.93 bits
-TABLE_REACH = 8.0  # sigmas: beyond, the tables are constant
-TABLE_FLOOR = 2.0**-24  # the smallest mass of a table, as in a coder with 24-bit frequencies
 
 
-def formula_of(log_p_of, folded=True):
-    """Return a formula in the form of `likelihood.forward`, from a function of a bin's two edges.
+def as_printed(f_noisy, mu, sigma, q):
+    """Return Eq. (11) as printed, in the precision of the inputs, with no work to spare."""
+    per_sigma = 1 / sigma
+    middle, half = (f_noisy - mu) * per_sigma, 0.5 * q * per_sigma
+    low, high = middle - half, middle + half
+    at_low, at_high = np.exp(-0.5 * low * low), np.exp(-0.5 * high * high)  # phi / PHI_0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = ndtr(high) - ndtr(low)
+        per_unit = (-PHI_0 / math.log(2)) * per_sigma / p
+        f_slope, q_slope = per_unit * (at_high - at_low), 0.5 * per_unit * (at_high + at_low)
+        sigma_slope = per_unit * (low * at_low - high * at_high)
+        return 0.0 - np.log2(p), (f_slope, sigma_slope, q_slope)  # not -0 where p is 1
 
-    The function takes low and high and returns log p and its slopes in z and w. `folded` mirrors a
-    bin below the mean to the other side.
-    """
+
+def with_floor(least):
+    """Return the printed formula with p >= least. On this floor the gradient is 0."""
+    most = -math.log2(least)
 
     def formula(f_noisy, mu, sigma, q):
-        low, high = (f_noisy - q / 2 - mu) / sigma, (f_noisy + q / 2 - mu) / sigma
-        mirrored = (f_noisy < mu) & folded
-        edges = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            log_p, slope_z, slope_w = log_p_of(*edges)
-            slope_z = np.where(mirrored, -1, 1) * slope_z
-            # sigma divides both z and w
-            sigma_slope = -((f_noisy - mu) / sigma * slope_z + q / sigma * slope_w)
-            per_unit = -1 / (math.log(2) * sigma)
-            saved = [per_unit * slope for slope in (slope_z, sigma_slope, slope_w)]
-            bits = log_p * (-1 / math.log(2)) + 0.0  # adding 0 turns -0 into 0
-        bits, *saved = (a.astype(f_noisy.dtype, copy=False) for a in (bits, *saved))
-        return bits, tuple(saved)
+        bits, saved = as_printed(f_noisy, mu, sigma, q)
+        above = bits <= most  # False for NaN as well
+        return np.where(above, bits, most), tuple(np.where(above, slope, 0) for slope in saved)
 
     return formula
 
@@ -55,60 +53,10 @@ def phi(v):
     return PHI_0 * np.exp(-0.5 * v**2)
 
 
-def slopes(at_low, at_high):
-    """Return the slopes of p in z and w, from the densities at the edges."""
-    return at_high - at_low, 0.5 * (at_high + at_low)
-
-
-def difference(low, high):
-    """Return Eq. (11) as printed, in the precision of the inputs."""
-    p = ndtr(high) - ndtr(low)
-    return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
-
-
-def with_floor(low, high):
-    """Return the printed formula with HAC's floor under p.
-
-    On the floor the gradient is 0.
-    """
-    log_p, *rest = difference(low, high)
-    above = log_p >= math.log(HAC_FLOOR)  # False for NaN as well
-    return np.where(above, log_p, math.log(HAC_FLOOR)), *(np.where(above, a, 0) for a in rest)
-
-
-def tails(low, high):
-    """Return the difference of both tails on the bin's side: no values near one cancel."""
-    p = ndtr(-low) - ndtr(-high)
-    return np.log(p), *(slope / p for slope in slopes(phi(low), phi(high)))
-
-
-def lookup_table(entries):
-    """Return the formula that interpolates Phi in a table of `entries` per sigma.
-
-    It takes the density from the slope of the same table.
-    """
-    values = ndtr(np.arange(-TABLE_REACH * entries, TABLE_REACH * entries + 1) / entries)
-
-    def read(edge):
-        place = (np.clip(edge, -TABLE_REACH, TABLE_REACH) + TABLE_REACH) * entries
-        i = np.minimum(place.astype(np.int64), len(values) - 2)
-        rise = values[i + 1] - values[i]
-        return values[i] + (place - i) * rise, rise * entries
-
-    def interpolate(low, high):
-        (at_low, phi_low), (at_high, phi_high) = read(-low), read(-high)
-        p = np.maximum(at_low - at_high, TABLE_FLOOR)
-        return np.log(p), *(slope / p for slope in slopes(phi_low, phi_high))
-
-    return formula_of(interpolate)
-
-
-literal, hac = formula_of(difference, folded=False), formula_of(with_floor, folded=False)
 FORMULAS = {
-    "as printed": literal,
-    "HAC's floor": hac,
-    "mirrored": formula_of(tails),
-    "table, 256 per σ": lookup_table(256),
+    "as printed": as_printed,
+    "p at least 1e-30": with_floor(1e-30),
+    "HAC's floor": with_floor(1e-6),  # at most 19.93 bits
     "ours": likelihood.forward,
 }
 

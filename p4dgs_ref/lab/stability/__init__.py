@@ -1,8 +1,8 @@
 """Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
 
 Two things show them. A table has the result of the literal formula, ours, the true value, errors
-and a verdict for each case. The stability map shows the error of four formulas for Eq. (11) over
-the distance, above and below the mean, and the bin width.
+and a verdict for each case. The stability map shows the error of formulas for Eq. (11) over the
+distance, above and below the mean, and the bin width.
 
 Inputs, cotangents and true values are those of the published vectors, if a case has the same id.
 `hard_cases.json` adds one line per case:
@@ -32,7 +32,7 @@ from ...report.figures import figure_style, save_figure, subplots
 from ...splatting.table import EQUATIONS
 from .. import StudyError
 from ..accuracy import formulas
-from ..writer import text_table
+from ..writer import group_rows, text_table
 
 FILE = Path(__file__).with_name("hard_cases.json")
 SMALLEST = 1e-44  # differences below are no errors: float32 cannot represent them
@@ -49,7 +49,6 @@ COLUMNS = {
     "verdict": "{verdict}",
 }
 # Of the map:
-FORMULAS = ("as printed", "HAC's floor", "mirrored", "ours")
 DISTANCES, WIDTHS = (-2, 3), (-12, 6)  # log10 of the limits of |x - mu| / sigma and q / sigma
 TICKS = (-1000, -10, -0.1, 0.1, 10, 1000)  # of the distance
 LEVELS = (-16, 0)  # log10 of the errors that the colours distinguish
@@ -160,12 +159,21 @@ def relative(got, want, each):
     return float(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).max(initial=0))
 
 
-def to_text(rows):
-    """Return the table as text, and at the end the rows that fail."""
-    shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
+def to_text(rows, every=True):
+    """Return the verdict as text, the rows that fail, and a table of every row.
+
+    Unless `every`, the table has one row of each equation: that with the largest error.
+    """
     failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
-    end = f"{len(rows)} rows, {len(failed)} beyond their bounds"
-    return "\n".join([*text_table(COLUMNS, shown), "", end, *failed])
+    head = f"{len(rows)} rows, {len(failed)} beyond their bounds"
+    if not every:
+        rows = [
+            max(group, key=lambda row: float(row["error"]))
+            for group in group_rows(rows, "equation").values()
+        ]
+        head += "; below, the worst row of each equation (--all prints all)"
+    shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
+    return "\n".join([head, *failed, "", *text_table(COLUMNS, shown)])
 
 
 def as_text(name, value):
@@ -184,16 +192,16 @@ def plane():
     return np.append(-above[::-1], above), widths
 
 
-def maps():
-    """Return log10 of the error of the bits, {(formula, dtype): array (distances, widths)}.
+def maps(named):
+    """Return log10 of the errors of {name: formula}, {(name, dtype): array (distances, widths)}.
 
     Errors are relative above 1e-6 bits, and infinite if a formula gives NaN or infinity.
     """
     z, w = np.meshgrid(*plane(), indexing="ij")
     errors = {}
     for dtype in DTYPES:
-        for name in FORMULAS:
-            error, _ = formulas.errors(formulas.FORMULAS[name], z.ravel(), w.ravel(), dtype)
+        for name, formula in named.items():
+            error, _ = formulas.errors(formula, z.ravel(), w.ravel(), dtype)
             log = np.log10(np.maximum(error, 10.0 ** LEVELS[0]))
             errors[name, dtype] = np.where(np.isfinite(error), log, np.inf).reshape(z.shape)
     return errors
@@ -225,22 +233,10 @@ def draw_maps(figure, axes, errors, location="right", **text):
 
 
 @figure_style({"font.size": 10.5, "axes.titlesize": 10.5, "figure.dpi": 200})
-def draw_front(path):
-    """Draw the maps of the printed formula and of ours, for a picture that is shown small."""
-    errors = {key: log for key, log in maps().items() if key[0] in ("as printed", "ours")}
+def draw_map(path):
+    """Draw the maps of the printed formula and of ours."""
+    errors = maps({name: formulas.FORMULAS[name] for name in ("as printed", "ours")})
     figure, axes = subplots(2, 2, figsize=(4.2, 6.6), sharex=True, sharey=True)
     draw_maps(figure, axes, errors, "top")
     figure.suptitle("Bits of Eq. (11): red is infinite or NaN", fontweight="bold", fontsize=10.5)
-    save_figure(figure, path)
-
-
-@figure_style()
-def draw_map(path):
-    """Draw the map to a PNG."""
-    figure, axes = subplots(2, len(FORMULAS), figsize=(10, 8), sharex=True, sharey=True)
-    draw_maps(figure, axes, maps(), fontsize=11)
-    figure.suptitle(
-        "error of the bits (relative above 1e-6 bits)\nred: infinite or NaN; reference: quadrature",
-        fontsize=13,
-    )
     save_figure(figure, path)

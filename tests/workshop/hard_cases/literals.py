@@ -23,7 +23,7 @@ def printed_gradient(v):
 
 
 def _printed(v):
-    return formulas.literal(v["f_noisy"], v["mu"], v["sigma"], v["q"])
+    return formulas.as_printed(v["f_noisy"], v["mu"], v["sigma"], v["q"])
 
 
 def printed_entropy(v):

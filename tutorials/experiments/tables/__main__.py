@@ -8,10 +8,10 @@ p4dgs_ref.prepare()  # before NumPy
 
 from p4dgs_ref.scenes import load_scene  # noqa: E402
 
-from . import ablate, effects, training  # noqa: E402
+from . import ablate, effects, likelihood, training  # noqa: E402
 from .rows import Parser, count, rows, run  # noqa: E402
 
-TABLES = {"ablate": ablate, "training": training, "effects": effects}
+TABLES = {"ablate": ablate, "training": training, "effects": effects, "likelihood": likelihood}
 QUICK = {"seeds": 1, "iterations": 100}
 
 
