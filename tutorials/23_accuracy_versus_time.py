@@ -2,14 +2,15 @@
 # # Accuracy versus time: how to read a work-precision diagram
 #
 # **Promise.** After this you can read a diagram of error against time, draw one that is fair, and
-# choose a setting by it. **Before it:** `10_prior_and_likelihood`, `15_compositing`. **Takes** five
-# seconds on two cores, 25 minutes of reading and 45 of exercises.
+# choose a setting by it. **Before it:** `10_prior_and_likelihood`, `15_compositing`. **Takes** ten
+# seconds on two cores, 25 minutes of reading and 40 of exercises.
 #
 # **Files:** [forms.py](../p4dgs_ref/lab/accuracy/forms.py),
 # [formulas.py](../p4dgs_ref/lab/accuracy/formulas.py), [clock.py](../p4dgs_ref/lab/clock.py).
 
 # %%
 import math
+from functools import partial
 
 import numpy as np
 from scipy.special import ndtr, roots_legendre
@@ -17,7 +18,7 @@ from scipy.special import ndtr, roots_legendre
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, shared
+from tutorials.tools import architecture, figures, shared, tour
 
 plt = figures.pyplot()
 architecture.show("23_accuracy_versus_time", "compositing", "likelihood")
@@ -26,6 +27,51 @@ architecture.show("23_accuracy_versus_time", "compositing", "likelihood")
 def phi(x):
     return np.exp(-(x**2) / 2) / math.sqrt(2 * math.pi)
 
+
+# %% [markdown]
+# ## What fails without it
+# Two renderers draw the trained scene more than ten times as fast as the loop that one can read.
+# One of them is off by less than a twentieth of a grey level and the other by six, at the
+# silhouettes of the balls. No eye and no clock can tell which of them may be used: that takes both
+# numbers for both.
+#
+# The pictures show the largest error of the three colours; the brightest is a grey level or more.
+
+# %%
+from p4dgs_ref.lab.accuracy import forms, formulas
+from p4dgs_ref.lab.clock import alternate, differ
+from p4dgs_ref.scenes import load_scene
+from p4dgs_ref.splatting import fast, loop
+from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
+
+views = load_scene("bouncing").test
+view = views[1]
+scene = forms.splats_in(tour.MODEL, view)
+draw = {
+    "loop": partial(forms.image_of, loop, EXACT),
+    "kernel": partial(forms.image_of, fast, KERNEL),
+    "fast": partial(forms.image_of, fast, FAST),
+}
+seconds = alternate({name: partial(form, scene) for name, form in draw.items()}, 2)
+truth = forms.image_of(loop, EXACT, scene)
+off = {name: 255 * np.abs(form(scene) - truth).max(axis=2) for name, form in draw.items()}
+for name, error in off.items():
+    print(f"{name}: {seconds[name].ms:.0f} ms, off by {error.max():.3f} of 255 grey levels")
+assert off["fast"].max() < 0.05
+assert 6 < off["kernel"].max() < 7
+assert seconds["loop"].ms > 10 * max(seconds["fast"].ms, seconds["kernel"].ms)
+
+# %%
+figure, axes = plt.subplots(1, 3, figsize=(13, 4.4), layout="constrained")
+axes[0].imshow(np.clip(truth, 0, 1))
+axes[0].set_title("the loop: the truth")
+for ax, name in zip(axes[1:], ("kernel", "fast")):
+    image = ax.imshow(off[name], cmap="inferno", vmax=1)
+    ax.set_title(f"{name}: off by up to {off[name].max():.2g} grey levels")
+for ax in axes:
+    ax.set(xticks=(), yticks=())
+figure.colorbar(image, ax=axes[1:], label="grey levels", extend="max")
+figures.show(figure, "23_accuracy_versus_time_error")
 
 # %% [markdown]
 # ## Claim
@@ -148,51 +194,40 @@ figures.show(figure, "23_accuracy_versus_time_order")
 
 # %% [markdown]
 # ## In code
-# `p4dgs-ref accuracy` asks four such questions of this project and answers them in a minute. Here
-# are two of them on a small scale. A *form* of a function is a way to compute it; each form is
-# timed, and its result is compared with the truth. The first function is the renderer, which has
-# three settings. `exact`, which is the truth here, evaluates every pair of a Gaussian and a pixel
-# in `float64`. `fast` ends a Gaussian where its opacity falls below a **cut**, which is the
-# parameter of this diagram. `kernel` has the constants of the published kernel: a square box of
-# three standard deviations, and no opacity below $1/255$ at any pixel.
+# `p4dgs-ref accuracy FILE` asks four such questions of a trained file. Here are two of them. A
+# *form* of a function is a way to compute it; each form is timed, and its result is compared with
+# the truth. The first function is the renderer. `fast` ends a Gaussian where its opacity falls
+# below a **cut**, which is the parameter of this diagram. `kernel` has the constants of the
+# published kernel: a square box of three standard deviations, and no opacity below $1/255$ at any
+# pixel.
 
 # %%
-from functools import partial
-
-from p4dgs_ref.lab.accuracy import forms, formulas
-from p4dgs_ref.lab.clock import alternate, differ
-from p4dgs_ref.splatting import fast
-from p4dgs_ref.splatting.settings import FAST, KERNEL
-
 settings = {("setting `fast`", ""): FAST, ("setting `kernel`", ""): KERNEL}
 for dtype in ("float32", "float64"):
     for cut in ("1/255", "5e-5", "1e-6"):
         value = 1 / 255 if "/" in cut else float(cut)
         settings[f"cut labelled, {dtype}", cut] = FAST._replace(cut=value, dtype=dtype)
-scene = forms.splat_scene(300, 48)
-truth = forms.exact_image(scene)
-pixels = scene["height"] * scene["width"]
 times = alternate(
     {key: partial(fast.forward, **scene, settings=s) for key, s in settings.items()}, 5
 )
 drawn = {}
 for key, chosen in settings.items():
     (image, _), (tiles, *_) = fast.forward(**scene, settings=chosen)
-    gap = image - truth
     pairs = sum(opacities.size for _, _, opacities, *_ in tiles)
-    drawn[key] = times[key].ms, np.abs(gap).max(), pairs, np.sqrt((gap**2).mean())
+    drawn[key] = times[key].ms, np.abs(image - truth).max(), pairs
     print(
         f"{' '.join(key):27s} {times[key].ms:6.2f} ms, {pairs:7,} pairs, error {drawn[key][1]:.1e}"
     )
 of_fast, of_kernel = list(drawn.values())[:2]
-assert max(pairs for _, _, pairs, _ in drawn.values()) < 300 * pixels / 2
-assert of_fast[1] < of_kernel[1] and of_fast[2] < of_kernel[2]
+assert max(pairs for _, _, pairs in drawn.values()) < len(scene["alpha"]) * truth[..., 0].size / 5
+assert of_fast[1] < of_kernel[1]
+assert of_fast[2] < of_kernel[2]
 
 # %% [markdown]
-# Measured in pairs, `kernel` is dominated: `fast` evaluates fewer pairs and has a smaller error,
-# because its tiles follow the ellipse instead of a square box. But is `fast` accurate *enough*? A
-# picture with 8 bits per value is rounded by up to half of 1/255, which is 0.00196. The error of
-# `kernel` is larger than this, that of `fast` is smaller.
+# Measured in pairs of a Gaussian and a pixel, `kernel` is dominated: `fast` evaluates fewer pairs
+# and has a smaller error, because its tiles follow the ellipse instead of a square box. But is
+# `fast` accurate *enough*? A picture with 8 bits per value is rounded by up to half of 1/255, which
+# is 0.00196. The error of `kernel` is larger than this, that of `fast` is smaller.
 
 # %%
 half_step = 0.5 / 255
@@ -200,94 +235,98 @@ assert round(half_step, 5) == 0.00196
 assert of_fast[1] < half_step < of_kernel[1]
 
 # %% [markdown]
-# The second function is Eq. (11), the bits of a symbol, of which the project has five formulas.
-# They are measured on bins of a usual width up to 3 standard deviations from the mean, and on the
-# whole domain of distances and widths for which the project promises its digits, on both sides of
-# the mean. Near the mean, all of them are accurate to better than one percent. In the whole domain
-# the formula *as printed* is infinite or NaN in 28.7 % of the bins: in 34.5 % of those above the
-# mean and in 22.9 % of those below.
+# The second function is Eq. (11), the bits of a number. Which inputs are fair? For the *time*,
+# those that occur: of the 6,766 bins of the demo's file, all but 27 are within 3 standard
+# deviations of the mean. For the *failures*, all for which the project promises its digits: 40,000
+# bins at distances of up to 1,000 standard deviations on both sides of the mean, and of all widths.
+# Both sides do no more work than they must, and they take turns.
 #
-# The other four are these. *HAC's floor*: in this earlier codec the mass never falls below
-# $10^{-6}$. *Mirrored* subtracts on the side where $\Phi$ is small. *Table* interpolates $\Phi$
-# between $256$ entries per standard deviation, or as many as the diagram says. *Ours* is the
-# formula that `10_prior_and_likelihood` derives.
+# The formula *as printed* takes about half the time of *ours*. Its bits are wrong by more than a
+# tenth, infinite or NaN, in 28.7 % of all bins. A floor under $p$, as other codecs have it, makes
+# them finite, and in 32.4 % of all bins still wrong. On the bins of the file, all three return the
+# same bits to $10^{-13}$.
 
 # %%
-domains = {
-    "to 3 σ": forms.bins(((1e-2, 3), (1e-2, 10)), 2000),
-    "everywhere": forms.bins(n=2000),
-}
-choices = {(d, name): f for d in domains for name, f in formulas.FORMULAS.items()}
-for entries in (16, 64, 256, 1024, 4096):
-    choices["to 3 σ", f"{entries}/σ"] = formulas.lookup_table(entries)
-priced, calls = {}, {}
-for (domain, name), formula in choices.items():
-    z, w = domains[domain]
-    bits_error, slopes_error = formulas.errors(formula, z, w, "float64")
-    priced[domain, name] = bits_error.max(), slopes_error.max()
-    calls[domain, name] = partial(formula, **formulas.inputs(z, w, "float64"))
+choices = forms.eq_11(tour.MODEL, views)
 with np.errstate(all="ignore"):
-    times_11 = alternate(calls, 3)
-for (domain, name), (error_of_bits, _) in priced.items():
-    ns = 1e6 * times_11[domain, name].ms / 4000  # each call computes 4000 bins
-    print(f"{name:18s} {domain:10s}: {ns:5.1f} ns, error of the bits {error_of_bits:.1e}")
-    assert domain == "everywhere" or name.endswith("/σ") or error_of_bits < 0.01
-assert priced["everywhere", "ours"][0] < 1e-12
+    taken = alternate({name: run for name, (run, _) in choices.items()}, 20)
+    wrong = {name: loss(None) for name, (_, loss) in choices.items()}
+    bits = {name: run()[0] for name, (run, _) in choices.items()}
+for name, time in taken.items():
+    low, high = time.ms_low, time.ms_high
+    print(f"{name:17s} {time.ms:.2f} ({low:.2f} to {high:.2f}) ms, wrong in {wrong[name]:.1f} %")
+assert [round(share, 1) for share in wrong.values()] == [0, 28.7, 32.4]
+assert taken["as printed"].ms < 0.8 * taken["ours"].ms
+assert all(np.abs(b / bits["ours"] - 1).max() < 1e-13 for b in bits.values())
+values, mu, sigma, q = forms.coded(tour.MODEL)
+u = np.random.default_rng(0).random(values.shape) - 0.5
+z = (values + u * q - mu) / sigma
+assert (z.size, np.sum(np.abs(z) > 3)) == (6766, 27)
 
-z, w = forms.bins()
-failed = {
-    name: ~np.isfinite(formulas.errors(formulas.FORMULAS[name], z, w, "float64")[0])
-    for name in ("as printed", "mirrored")
-}
-shares = [failed["as printed"][where].mean() for where in (z > 0, z < 0, z != 0)]
-assert np.round(100 * np.array(shares), 1).tolist() == [34.5, 22.9, 28.7]
-assert round(100 * failed["mirrored"].mean(), 1) == 22.9
+# %% [markdown]
+# Half the time of what? Eq. (11) is a few percent of a training step, and so is what the printed
+# form would save. And what do the failures cost, if a trained file has no such bins? A training
+# meets them on its way. A [record](experiments/records/likelihood.csv) has three trainings of
+# `bouncing` with each form and nothing else changed. With the printed form, a gradient becomes
+# infinite in two of them, after 2,709 and 2,634 of 3,800 iterations. With the floor of $10^{-30}$
+# all three reach their end, and the files are as good as ours: the floor is enough for whoever does
+# not need right bits in the tails.
 
 # %%
-figure, (left, right) = plt.subplots(1, 2, figsize=(15, 6.6), layout="constrained")
+from p4dgs_ref.lab.writer import group_rows, read_csv
+
+records = shared.FOLDER / "experiments" / "records"
+ended = {}
+for (form,), runs in group_rows(read_csv(records / "likelihood.csv"), "label").items():
+    ended[form] = [row["ended"] for row in runs]
+    for row in runs:
+        print(
+            f"{form}, seed {row['seed']}: {row['ended']} of {row['iterations']} iterations, "
+            f"{row['psnr_db']:.2f} dB, {row['bytes']:,} bytes"
+        )
+assert ended["as printed"] == [2709, 2634, 3800]
+assert min(ended["p at least 1e-30"]) == 3800
+
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(15, 6), layout="constrained")
 
 
-def draw(panel, name, points, **style):
+def points(panel, name, places, **style):
     """A line through points {label: (time, error)}, with the label beside each."""
-    panel.loglog(*zip(*points.values()), label=name, **style)
-    for label, place in points.items():
+    panel.loglog(*zip(*places.values()), label=name, **style)
+    for label, place in places.items():
         panel.annotate(label, place, (7, 4), textcoords="offset points", fontsize=12)
 
 
 for i, name in enumerate(dict.fromkeys(name for name, _ in drawn)):
-    points = {label: row[:2] for (of, label), row in drawn.items() if of == name}
-    draw(left, name, points, marker="*osD"[i], markersize=15 if i == 0 else 8)
+    places = {label: row[:2] for (of, label), row in drawn.items() if of == name}
+    points(left, name, places, marker="*osD"[i], markersize=15 if i == 0 else 8)
 left.axhline(half_step, color="0.4", ls="--", label="half a step of an 8-bit picture")
 left.set(
     title="Rendering: down is better, left is faster",
     ylabel="largest error of the picture (of 1)",
     xlabel="processor time (ms, forward)",
 )
-near = {
-    name: (times_11[d, name].ms, error) for (d, name), (error, _) in priced.items() if d[0] == "t"
-}
-tables = {name: point for name, point in near.items() if name.endswith("/σ")}
-draw(right, "table, entries labelled", tables, marker="o")
-for name, marker in (("as printed", "s"), ("mirrored", "D"), ("ours", "*")):
-    draw(right, name, {"": near[name]}, marker=marker, markersize=15 if marker == "*" else 8)
+for name, marker in zip(choices, "*so"):
+    right.plot(taken[name].ms, wrong[name], marker, markersize=14, label=name)
 right.set(
-    title="Eq. (11) to 3 σ in float64: what the last digits cost",
-    ylabel="largest relative error",
-    xlabel="processor time (ms, 4000 values)",
+    title="Eq. (11): time on the file's bins, failures on all",
+    ylabel="bins with wrong bits (%)",
+    xlabel="processor time (ms, 6,766 values)",
+    xlim=(0, None),
 )
+left.xaxis.set_major_formatter("{x:g}")
+left.xaxis.set_minor_formatter("{x:g}")
 for panel in (left, right):
     panel.margins(0.2)
-    panel.xaxis.set_major_formatter("{x:g}")
-    panel.xaxis.set_minor_formatter("{x:g}")
     panel.legend(fontsize=12, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 figures.show(figure, "23_accuracy_versus_time")
 
 # %% [markdown]
-# The numbers beside the points are the parameters: the cut on the left, the entries per standard
-# deviation on the right. Read such a diagram in this order. What is the **truth** that errors are
-# measured against? How good must the result **be**? Draw that line. Which method is **leftmost
-# below** the line? Only then look at slopes and floors, and at what the diagram does not show: a
-# method that fails on *other* inputs looks as good here as any other.
+# Read such a diagram in this order. What is the **truth** that errors are measured against? How
+# good must the result **be**? Draw that line. Which method is **leftmost below** the line? Only
+# then look at slopes and floors, and at what the diagram does not show: on the bins of the file
+# alone, all three forms would stand at the same height, and the printed one would win.
 #
 # How far can a measured time be trusted? Measure one function under two names. The two times
 # differ because other programs run on the same machine, so methods whose times differ by less
@@ -318,9 +357,7 @@ print("they can be told apart:", differ(twice["once"], twice["again"]))
 # Half of the time costs 1.3 dB, a quarter of it 3.3 dB: all three points are on the front.
 
 # %%
-from p4dgs_ref.lab.writer import group_rows, read_csv
-
-lengths = read_csv(shared.FOLDER / "experiments" / "records" / "training.csv")
+lengths = read_csv(records / "training.csv")
 reached = {}
 for (iterations,), runs in group_rows(lengths, "iterations").items():
     seconds, psnr = np.array([(row["train_seconds"], row["psnr_db"]) for row in runs]).T
@@ -329,41 +366,6 @@ for (iterations,), runs in group_rows(lengths, "iterations").items():
 whole, *shorter = (psnr for _, psnr in reached.values())
 assert [round(whole - psnr, 1) for psnr in shorter] == [1.3, 3.3]
 assert all(front(np.array([(time, -psnr) for time, psnr in reached.values()])))
-
-# %% [markdown]
-# ## Backward by hand
-# A gradient has an error of its own. Let $g$ be the straight line between the values of $f$ at
-# two nodes with the distance $h$. At distance $s$ from the left node,
-# $$f = f_0 + f'_0s + \tfrac12 f''_0s^2 + O(h^3),$$
-# $$g = f_0 + \tfrac{s}{h}(f_h - f_0) = f_0 + f'_0s + \tfrac12 f''_0hs + O(h^3),$$
-# $$g - f = \tfrac12 f''_0\,s(h-s) + O(h^3), \qquad g' - f' = \tfrac12 f''_0\,(h-2s) + O(h^2).$$
-# The error of the value is largest in the middle, $\frac18 f''_0h^2$. The error of the derivative
-# is largest at the nodes, $\frac12 f''_0h$, which is **one order less**.
-
-# %%
-z_0 = 1.0
-second_derivative = -z_0 * phi(z_0)  # of Phi
-for n in (64, 256):
-    h = 1 / n
-    f_0, f_h = ndtr(z_0), ndtr(z_0 + h)
-    value_error = (f_0 + f_h) / 2 - ndtr(z_0 + h / 2)
-    slope_error = (f_h - f_0) / h - phi(z_0)
-    assert np.isclose(value_error, second_derivative * h**2 / 8, rtol=0.02)
-    assert np.isclose(slope_error, second_derivative * h / 2, rtol=0.02)
-
-# %% [markdown]
-# The tables of Eq. (11) behave exactly like this. With 64 times as many entries the bits are
-# better by about $64^2$, but the gradient only by about 64. A diagram of the value alone shows an
-# error below 1e-6 and hides an error of almost 1e-3 in the gradient.
-
-# %%
-coarse, fine = (np.array(priced["to 3 σ", f"{entries}/σ"]) for entries in (64, 4096))
-gain_of_bits, gain_of_gradient = coarse / fine
-print(f"gain of the bits {gain_of_bits:.0f}, of the gradient {gain_of_gradient:.0f}")
-assert 64**2 / 3 < gain_of_bits < 3 * 64**2
-assert 64 / 3 < gain_of_gradient < 3 * 64
-assert fine[0] < 1e-6
-assert 0.8e-3 < fine[1] < 1e-3
 
 # %% [markdown]
 # ## Break it
@@ -375,7 +377,7 @@ assert 0.8e-3 < fine[1] < 1e-3
 # %%
 z, w = np.zeros((1, 1)), np.full((1, 1), 1e-12)
 ours = likelihood.forward(z, 0 * z, np.ones_like(z), w)[0][0, 0]
-printed = formulas.literal(z, 0 * z, np.ones_like(z), w)[0][0, 0]
+printed = formulas.as_printed(z, 0 * z, np.ones_like(z), w)[0][0, 0]
 seeming_error = abs(ours - printed) / abs(printed)
 assert 0.5e-6 < seeming_error < 2e-6
 
@@ -392,51 +394,39 @@ assert abs(ours - truth) / abs(truth) < 1e-15
 assert abs(printed - truth) / abs(truth) > 0.5e-6
 
 # %% [markdown]
-# ## What a codec does with it
-# The lossy parts of a codec may have any error that cannot be seen. Suppose that a model has a
-# PSNR of 33 dB, and that the renderer adds an error of its own. In the worst case the two add up
-# to $(\sqrt{MSE} + rms)^2$. The loss in dB is the real price of `fast` and `kernel`.
+# ## What this idea buys
+# The choice that the diagram made for the renderer costs nothing that the test views can tell: the
+# ten of them have 33.48 dB with the exact twin of the loop and with `fast`, which is tens of times
+# as fast. `kernel`, which is slower than `fast` and less accurate, reaches 33.60 dB: its errors
+# happen to sharpen this scene, which was trained with `fast`. For Eq. (11) the diagram chose the
+# slower form. It costs a few percent of a training step, and no training is stopped by it. The
+# paper gives frames per second, and says nothing of errors of its renderer or of its bits.
 
 # %%
-mse = 10 ** (-33 / 10)
+from p4dgs_ref.training.objective import psnr
 
-
-def largest_loss(rms):
-    """The largest loss of PSNR by an error of the renderer, a root mean square."""
-    return 10 * math.log10((math.sqrt(mse) + rms) ** 2 / mse)
-
-
-loss, loss_of_kernel = largest_loss(of_fast[3]), largest_loss(of_kernel[3])
-print(f"fast loses at most {loss:.4f} dB, kernel {loss_of_kernel:.4f} dB")
-assert loss < 0.01 < loss_of_kernel
+quality = {}
+for name, chosen in {"exact": EXACT, "fast": FAST, "kernel": KERNEL}.items():
+    reached = [psnr(tour.MODEL.render(v.camera, v.time, chosen), v.image) for v in views]
+    quality[name] = np.mean(reached)
+    print(f"{name}: {quality[name]:.4f} dB")
+assert round(quality["exact"], 2) == round(quality["fast"], 2) == 33.48
+assert round(quality["kernel"], 2) == 33.60
 
 # %% [markdown]
-# The entropy coder is the opposite case. Move the mean of a single symbol among 400 by a
-# sixteenth of a step. The price of all symbols changes by less than one bit, and nobody would
-# draw a diagram for that. But a decoder that reads with the moved mean loses the rest of the
-# stream. The only useful accuracy is equality here, and this is why the tables are computed in
-# integers (`22_desync`).
-
-# %%
-from p4dgs_ref.codec import streams
-from p4dgs_ref.codec.container import BitstreamError
-
-rng = np.random.default_rng(23)
-symbols = np.rint(rng.normal(scale=1.5, size=400)).astype(np.int64)
-mu = np.zeros(400, np.int64)  # in units of 1/1024 of a step
-sigma = np.full(400, 9)  # 16 log2(sigma / step)
-moved = mu.copy()
-moved[100] += 1024 // 16
-price = streams.ideal_bits_gaussian(symbols, mu, sigma).sum()
-other_price = streams.ideal_bits_gaussian(symbols, moved, sigma).sum()
-assert 0 < abs(other_price - price) < 1
-message = streams.encode_gaussian(symbols, mu, sigma)
-assert np.array_equal(streams.decode_gaussian(message, mu, sigma), symbols)
-try:
-    received = streams.decode_gaussian(message, moved, sigma)
-    assert not np.array_equal(received, symbols)
-except BitstreamError as error:
-    print(f"{price:.2f} and {other_price:.2f} bits; the decoder says: {error}")
+# **In short**
+# - A method is a point of time and error; only those on the front are worth having, and the
+#   accuracy that is needed chooses among them.
+# - Time is measured on usual inputs, failures on all; both sides do no more work than they must.
+# - Two times may be called different only if their quartiles are apart.
+#
+# **Often misunderstood**
+# - *A formula that is right on every number of the file is right.* A training meets other numbers
+#   on its way to the file.
+# - *Twice as fast is twice as good.* Twice as fast in a twentieth of the step is 2.5 % of it.
+# - *The slower method is the more accurate one.* `kernel` is slower and less accurate than `fast`.
+# - *An error of the renderer is a loss of quality.* It is measured against the loop, quality
+#   against the truth.
 
 # %% [markdown]
 # ## Exercises
