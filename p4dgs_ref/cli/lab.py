@@ -75,7 +75,7 @@ def suggest_effects(arguments):
         require_usage(
             packaged_folder() not in folder.resolve().parents,
             "--apply",
-            f"{folder} is a packaged scene; expected a folder of yours",
+            f"{folder} is a packaged scene; expected a folder of your own",
         )
         with new_file(folder / "scene.json"):  # before the work, whose answer would be lost
             pass

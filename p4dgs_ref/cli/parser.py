@@ -84,7 +84,7 @@ def output(help, **settings):
 
 
 JSON = switch("--json", "print JSON instead of text")
-YES = switch("--yes", "begin long trainings without asking")
+YES = switch("--yes", "start long trainings without asking")
 FILE = option("file", help="a .p4dgs file")
 NEW_FOLDER = output("folder to write to", required=True)
 SCENE_HELP = "a folder of pictures with cameras, or the name of a packaged scene"
@@ -124,7 +124,7 @@ ORACLE = {
             option(
                 "folder",
                 nargs="?",
-                help="folder of the port's answers, <subject>.safetensors or .npz",
+                help="folder with the port's answers, <subject>.safetensors or .npz",
             ),
             JSON,
             option(
@@ -145,7 +145,7 @@ ORACLE = {
             several(
                 "--only", "NAME", "only this equation, subject, group or case; may be repeated"
             ),
-            switch("--strict", "require all digits, also where the printed formula has fewer"),
+            switch("--strict", "require all digits, even where the printed formula has fewer"),
         ),
     ),
 }
@@ -154,7 +154,7 @@ GROUPS = {
     "The main job, for everyone who follows the paper": {
         "demo": (
             "job.demo",
-            "all of it: train on a scene, compress, decode, render, measure, draw",
+            "do all of it: train on a scene, compress, decode, render and measure",
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 DOWNSCALE,
@@ -172,7 +172,7 @@ GROUPS = {
                 option(
                     "--points",
                     metavar="FILE",
-                    help="start from the points of a .npy or .ply, in scene coordinates",
+                    help="start from the points in a .npy or .ply file, in scene coordinates",
                 ),
                 output("run folder to write", required=True),
                 switch("--resume", "continue from the checkpoint in the run folder"),
@@ -190,14 +190,14 @@ GROUPS = {
         ),
         "render": (
             "job.render",
-            "draw a file over time, seen by a fixed camera or by the test cameras of a scene",
+            "render a file over time, from a fixed camera or from a scene's test cameras",
             (
                 FILE,
                 output("new folder to write to", required=True),
                 option(
                     "--azimuth",
                     type=number_in_range(float, -360, 360),
-                    help="direction of the camera, degrees about the z axis (default 40)",
+                    help="direction of the camera in degrees about the z axis (default 40)",
                 ),
                 option(
                     "--elevation",
@@ -207,7 +207,7 @@ GROUPS = {
                 option(
                     "--distance",
                     type=number_in_range(float, 1e-3, 1e6),
-                    help="from the anchors (default 3.6), with a field of view of 41 degrees",
+                    help="distance from the anchors (default 3.6); the field of view is 41 degrees",
                 ),
                 option(
                     "--size",
@@ -229,7 +229,7 @@ GROUPS = {
             (FILE, SCENE, DOWNSCALE, JSON, output("folder for comparison.png and comparison.csv")),
         ),
     },
-    "Files, for those who draw a scene or look into a file": {
+    "Files, for those who simulate a scene or look inside a file": {
         "simulate": (
             "job.simulate",
             "draw the pictures of a scene.json",
@@ -237,12 +237,12 @@ GROUPS = {
         ),
         "inspect": (
             "job.inspect",
-            "list the bytes of a file by section, beside their entropy",
+            "list the bytes of each section of a file beside its entropy",
             (FILE, JSON),
         ),
         "view": (
             "job.view",
-            "write one page that holds files and shows them in a browser",
+            "write a self-contained page that shows files in a browser",
             (
                 option("files", nargs="+", metavar="FILE", help="a .p4dgs file"),
                 output("page to write (default beside the first FILE)"),
@@ -250,19 +250,27 @@ GROUPS = {
         ),
         "presets": (
             "job.presets",
-            "print what each preset changes, beside the paper's values",
-            (option("preset", nargs="?", help="show all fields of this one only"),),
+            "print the presets beside the paper's values",
+            (option("preset", nargs="?", help="print all fields of this preset"),),
         ),
     },
     "Ports, for authors of an implementation in another language": {
-        "oracle": ("", "golden vectors, and the checker that names the wrong equation", ORACLE),
+        "oracle": (
+            "",
+            "export golden vectors; check a port and name the first wrong equation",
+            ORACLE,
+        ),
     },
     "Measure, for those who ask what a choice costs": {
         "accuracy": (
             "lab.accuracy",
-            "what accuracy costs in time: renderers, precision, Eq. (11), noise",
+            "measure what accuracy costs in time: renderers, precision, Eq. (11), noise",
             (
-                option("file", nargs="?", help="a .p4dgs file (default: a small one, shipped)"),
+                option(
+                    "file",
+                    nargs="?",
+                    help="a .p4dgs file (default: a small model that is installed)",
+                ),
                 option("scene", nargs="?", default="bouncing", help="the scene of this file"),
                 DOWNSCALE,
                 output(
@@ -272,12 +280,10 @@ GROUPS = {
         ),
         "stability": (
             "lab.hard_cases",
-            "hard cases: result of the printed formula, ours, true value; and a map of errors",
+            "list hard cases (printed formula, ours, true value) and draw a map of errors",
             (
                 JSON,
-                option(
-                    "--only", metavar="ID", help="only this case or group of cases, such as H-R1"
-                ),
+                option("--only", metavar="ID", help="only this case or group, such as H-R1"),
                 switch("--all", "print every row, not one for each equation"),
                 output(
                     "folder for stability.png, a map, and stability.csv (default report)",
@@ -287,12 +293,15 @@ GROUPS = {
         ),
         "effects": (
             "lab.effects",
-            "what each effect of a scene costs, and that the others cost nothing",
+            "count what each effect of a scene costs, and show that others cost nothing",
             (
                 SCENE,
                 DOWNSCALE,
                 JSON,
-                switch("--suggest", "only print which effects the pictures call for, and why"),
+                switch(
+                    "--suggest",
+                    "train briefly and print which effects the pictures call for, and why",
+                ),
                 switch("--apply", "with --suggest: write the list to the scene's scene.json"),
                 YES,
                 output("folder for effects.png and effects.csv (default report)", default="report"),
@@ -302,7 +311,7 @@ GROUPS = {
     "Teach, for teachers and their students": {
         "classroom": (
             "lab.classroom",
-            "write the equations with their bodies removed for students, and the key",
+            "write the equations without bodies for students, and complete for the teacher",
             (
                 option(
                     "folder",
@@ -313,13 +322,13 @@ GROUPS = {
         ),
         "grade": (
             "lab.grade",
-            "give points by student and equation, on inputs that the students have not seen",
+            "grade each student and equation on inputs that the students have not seen",
             (
                 option(
                     "folders",
                     nargs="+",
                     metavar="DIR",
-                    help="what a student handed in: the folder student/, or one that contains it",
+                    help="a student's folder student/, or a folder that contains it",
                 ),
                 JSON,
                 option(
@@ -378,7 +387,7 @@ def parser():
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument(
-        "--version", action=Version, nargs=0, help="packages, kernels and what is promised"
+        "--version", action=Version, nargs=0, help="print versions, kernels and what is promised"
     )
     every = {name: row for commands in GROUPS.values() for name, row in commands.items()}
     add_commands(top, "command", every, help=argparse.SUPPRESS)

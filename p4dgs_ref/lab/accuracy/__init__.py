@@ -100,7 +100,7 @@ def comparison(row, group):
     times = {r["choice"]: times_of(r) for r in group}
     one, (name, other) = times[row["choice"]], next(iter(times.items()))
     if not differ(one, other):
-        return f"cannot tell which is faster, it or {name}"
+        return f"not measurably faster or slower than {name}"
     factor = other.ms / one.ms
     text = f"{factor:.3g} times as fast" if factor > 1 else f"{1 / factor:.3g} times as slow"
     step = times.get(STEP)
