@@ -149,11 +149,7 @@ def relative_to(largest, gap):
 
     If both are 0 there is no error; if only `largest` is 0, it is 1.
 
-<<<<<<< HEAD
     Gaps below the normal range of float64 count as zero, because they have fewer digits.
-=======
-    Gaps below the normal range of float64, which has fewer digits there, count as 0.
->>>>>>> 0e6e157b (Help texts say what a command does, as a person would)
     """
     gap = np.where(gap < np.finfo(float).tiny, 0.0, gap)
     without_scale = np.where(gap == 0, 0.0, np.where(np.isfinite(gap), 1.0, gap))
