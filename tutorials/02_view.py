@@ -15,7 +15,7 @@ import numpy as np
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, show, tour
+from tutorials.tools import architecture, figures, panels, show, tour
 
 plt = figures.pyplot()
 architecture.show("02_view")
@@ -129,24 +129,7 @@ assert change.max() > 60
 print(*(f"{name} changes by {most:.0f} of 255" for name, most in zip(names, change)), sep=", ")
 
 # %%
-figure, axes = plt.subplot_mosaic(
-    "abcd;eeee", figsize=(12, 5.6), height_ratios=(2.2, 1), layout="constrained"
-)
-for name, i in zip("abcd", (6, 20, 42, 60)):
-    show.picture(axes[name], show.frame(model, cameras[i], 0.3), cameras[i], **tour.VIEW)
-    mean2d, cov2d, *_ = show.splats(seen[i], cameras[i], own)
-    show.ellipses(axes[name], mean2d, cov2d, fc="none", ec=thread.color, lw=3)
-    axes[name].set_title(f"camera at {walk[i]}°")
-axes["e"].imshow(colors.swapaxes(0, 1), aspect="auto", extent=(-2.5, 357.5, 2.5, -0.5))
-axes["e"].set_yticks(range(3), names)
-figures.finish(
-    axes["e"],
-    xlabel="direction of the camera (degrees)",
-    xticks=walk[[6, 20, 42, 60]],
-    title="the colours of its children",
-    grid=False,
-)
-figures.show(figure, "02_view_walk", title="A walk around anchor 29")
+panels.walk(model, cameras, seen, own, walk, colors, names, tour.VIEW)
 
 # %% [markdown]
 # ## Backward by hand
@@ -264,24 +247,7 @@ radial_part = (of_direction * ring).sum(axis=1)
 assert np.abs(radial_part).max() < 1e-15
 
 # %%
-figure, ax = plt.subplots(figsize=(7.5, 7))
-ax.plot(0, 0, "k^", ms=14)
-ax.plot(*ring[:, :2].T, "o", color="0.5")
-for arrows, color in zip((of_length, of_direction), figures.COLORS):
-    places = *ring[:, :2].T, *arrows[:, :2].T
-    ax.quiver(*places, color=color, angles="xy", scale_units="xy", scale=0.8, width=0.006)
-figures.finish(
-    ax,
-    xlabel="x (scene units)",
-    ylabel="y (scene units)",
-    aspect="equal",
-    xlim=(-5.4, 5.4),
-    ylim=(-5.4, 5.4),
-    title="Gradients of anchors around a camera (triangle):\n"
-    r"along the ray from $\bar\delta_{vc} = 1$, across it from $\bar d_{vc} = (1, 0, 0)$",
-    title_size=13,
-)
-figures.show(figure, "02_view")
+panels.gradients_of_view(ring, of_length, of_direction)
 
 # %% [markdown]
 # ## Break it

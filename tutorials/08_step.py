@@ -32,7 +32,7 @@ rng = np.random.default_rng(8)
 # The left side shows the scene of `demo.p4dgs` with all features rounded to one coarse step, 2. For
 # the right side, only the features of one anchor were rounded to it, one anchor after another. A
 # dot is the squared error in the picture that one anchor causes; the dots are sorted by it. *Anchor
-# 29* is purple, as in all tutorials.
+# 29* is purple.
 
 # %%
 model, camera, thread = tour.MODEL, tour.CAMERA, figures.THREAD
