@@ -103,7 +103,7 @@ def test_a_typical_wrong_answer_is_told_what_it_forgets(capsys):
             assert f": not solved: {reason}\n" in capsys.readouterr().out, (exercise, wrong)
     lessons.check_number("05.1", [9, 33])
     assert "not solved: the factor 2^j of a frequency is missing" in capsys.readouterr().out
-    lessons.check_number("12.2", 0.0548)
+    lessons.check_number("12.3", 0.0548)
     assert "the 1 / ln 2 of the bits is missing" in capsys.readouterr().out
 
 
@@ -135,9 +135,9 @@ def test_a_unit_is_guessed_only_of_a_factor_that_all_numbers_share():
 
 
 def test_no_unit_is_guessed_of_one_number_of_several(capsys):
-    """A = 100 anchors in 11.1, and lambda = 0.001 in 16.1."""
+    """A = 100 anchors in 11.1, and lambda = 0.001 in 12.1."""
     lessons.check_number("11.1", [3, 2.64, 0.04, 0.04])
-    lessons.check_number("16.1", [0.0724, 0.025278839, 0.025278839 * 1.001])
+    lessons.check_number("12.1", [0.0724, 0.025278839, 0.025278839 * 1.001])
     assert "?" not in capsys.readouterr().out
 
 

@@ -3,7 +3,7 @@
 #
 # **Promise.** After this tutorial you can compute the cost of a number in bits, say what a wrong
 # guess and a wrong width of the guess cost, and derive all four gradients. **Before it:**
-# `07_noise_and_rounding`, `08_step`. **Takes** four seconds of machine time on two cores, 35
+# `07_noise_and_rounding`, `08_step`. **Takes** four seconds of machine time on two cores, 40
 # minutes of reading and 40 of exercises.
 #
 # **Files:** Eq. (11) [likelihood.py](../p4dgs_ref/equations/likelihood.py), Eq. (12)
@@ -18,7 +18,7 @@ from scipy.special import erfcx, ndtr
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, show, tour
+from tutorials.tools import architecture, figures, panels, show, tour
 
 plt = figures.pyplot()
 architecture.show("10_prior_and_likelihood")
@@ -115,8 +115,8 @@ for symbol in range(4):
 # probability of the symbol.
 
 # %%
-figure, panels = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
-for ax, j in zip(panels, (14, 13)):
+figure, both = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
+for ax, j in zip(both, (14, 13)):
     symbol, mean, deviation = (a[thread.index, j] for a in (symbols, means, deviations))
     x = np.linspace(min(mean, symbol) - 12, max(mean, symbol) + 12, 2001)
     bell, inside = density_at((x - mean) / deviation) / deviation, np.abs(x - symbol) <= 0.5
@@ -176,6 +176,30 @@ bits, saved = likelihood.forward(f, mu, sigma, q)
 z, w = (f - mu) / sigma, q / sigma
 assert bits.shape == (A, n)
 assert close(bits, -np.log2(ndtr(z + w / 2) - ndtr(z - w / 2)), 1e-9)
+
+# %% [markdown]
+# **A likelihood above one?** The density $\phi$ is a probability *per unit*, and it may have any
+# size: with $\sigma = 0.1$ it is 3.989 at the mean. Taken for a likelihood, it would cost $-2.0$
+# bits, less than nothing. The bin of width 0.1 around the mean has the probability 0.383 and costs
+# 1.385 bits.
+#
+# **Do likelihoods sum to one?** Yes, over all symbols that *one* number could have: neighbouring
+# bins share an edge, so the differences add up to 1. The likelihoods of all numbers of a file have
+# no such sum, because each of them comes from a bell of its own, and their mean misleads. The mean
+# price of the demo's features is 2.52 bits, a likelihood of 0.17, but the mean of the likelihoods
+# is 0.23. Always average bits: the file pays the sum of the logarithms.
+
+# %%
+assert round(density_at(0) / 0.1, 3) == 3.989
+assert close(likelihood.forward(*np.array([[[0.0]], [[0]], [[0.1]], [[0.1]]]))[0], 1.385, 1e-3)
+
+alphabet = np.arange(-500.0, 501)[None]
+of_29 = [np.full_like(alphabet, a[thread.index, 3]) for a in (means, deviations)]
+every_price, _ = likelihood.forward(alphabet, *of_29, np.ones_like(alphabet))
+assert close((2**-every_price).sum(), 1)
+mean_bits, mean_likelihood = costs[3].mean(), (2 ** -costs[3]).mean()
+print(f"{mean_bits:.2f} bits: {2**-mean_bits:.2f}; mean of likelihoods {mean_likelihood:.2f}")
+assert np.round([mean_bits, 2**-mean_bits, mean_likelihood], 2).tolist() == [2.52, 0.17, 0.23]
 
 # %% [markdown]
 # ## Backward by hand
@@ -272,7 +296,8 @@ assert not gradients["biases"][0].any()
 # below $10^{-6}$, a *floor*. No number then costs more than 19.93 bits, and nothing is ever
 # infinite. Training runs, but it reports a lower rate than the file will need, and on the floor the
 # gradient is 0. A number 6 standard deviations from the mean is never pulled towards the mean,
-# although it costs 25.7 bits by Eq. (11).
+# although it costs 25.7 bits by Eq. (11). And no coder can keep what this table promises: with the
+# floor, the probabilities of $2^{16}$ symbols sum to 1.066.
 
 
 # %%
@@ -300,6 +325,12 @@ print(f"z = 6 costs {bits_6[0, 0]:.1f} bits, with the floor {floored_bits(**six)
 assert pull > 8
 assert no_pull == 0
 
+alphabet = np.arange(-(2.0**15), 2.0**15)[None]
+ones = np.ones_like(alphabet)
+promised = (2 ** -floored_bits(alphabet, 0 * ones, ones, ones)).sum()
+print(f"with the floor, all probabilities sum to {promised:.3f}")
+assert round(promised, 3) == 1.066
+
 # %% [markdown]
 # ## What a codec does with it
 # The entropy coder uses only integers, because a different last digit on another machine would
@@ -324,6 +355,34 @@ bits_rounded, _ = likelihood.forward(one(0), one(0.3125), one(2 ** (9 / 16)), on
 print(f"{bits_in_file:.3f} bits in the file, {bits_exact[0, 0]:.3f} by Eq. (11)")
 assert abs(bits_in_file - bits_rounded[0, 0]) < 1e-3
 assert abs(bits_in_file - bits_exact[0, 0]) > 1e-2
+
+# %% [markdown]
+# **Noise pays the average.** Training pays for the number with noise, the file for the rounded one.
+# Are these the same bits? Suppose that $f$ follows the bell, and let $P(x)$ be the area over the
+# bin around $x$. The density of $\tilde f$ is $P(x)/q$ (`07_noise_and_rounding`), so with noise one
+# pays on average
+# $$\int \frac{P(x)}{q}\,\bigl(-\log_2 P(x)\bigr)\,dx
+#   = \frac{1}{q}\int_0^q \sum_m P(mq + r)\,\bigl(-\log_2 P(mq + r)\bigr)\,dr.$$
+# The sum on the right is what rounding pays if all multiples of $q$ are shifted by $r$. In other
+# words, *noise is rounding to a random grid*, and its price is exact on average over all grids. The
+# file has one grid. With $\sigma = q$ this makes no difference: 2.105 bits in all cases. With
+# $\sigma = 0.1\,q$ noise pays 0.261 bits, rounding nothing if the mean is a multiple of $q$, and
+# 1 bit if it lies between two.
+
+
+# %%
+def price_on_grids(deviation, shifts):
+    """Return the mean bits of a normal number rounded to the integers plus a shift."""
+    P = np.diff(ndtr((np.arange(-30.5, 31.5)[:, None] + shifts) / deviation), axis=0)
+    return -(P * np.log2(np.where(P > 0, P, 1))).sum(axis=0)
+
+
+every_shift = (np.arange(200) + 0.5) / 200
+for deviation in (1.0, 0.1):
+    with_noise = price_on_grids(deviation, every_shift).mean()
+    on, between = price_on_grids(deviation, np.array([0, 0.5]))
+    print(f"{deviation} q: {with_noise:.3f} with noise, {on:.3f} or {between:.3f} rounded")
+assert np.round([with_noise, on, between], 3).tolist() == [0.261, 0, 1]
 
 # %% [markdown]
 # ## What this idea buys
@@ -363,17 +422,20 @@ gains.show("10_prior_and_likelihood", rows, paper)
 
 # %% [markdown]
 # ## Exercises
-# **10.1** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
+# **10.1** ● With $\sigma = 0.02$ and $q = 0.001$, what are the density and the likelihood of a
+# value at the mean? Give a list of two numbers.
+#
+# **10.2** ●● Compute $\log p$ (natural logarithm) of the golden bins `z_golden` and `w_golden`
 # below, as an array of the same length. Here $|z|$ lies between $1$ and $40$, and $w = 1$. The
 # formula with `erfcx` of *For ports* works for all of them if you use $|z|$. So does
 # `scipy.special.log_ndtr`, which is $\log\Phi$ with all its digits.
 #
-# **10.2** ●● So that the tables of its coder stay short, a port bounds $\sigma$ of Eq. (12) from
+# **10.3** ●● So that the tables of its coder stay short, a port bounds $\sigma$ of Eq. (12) from
 # below: $\sigma = \max(e^{r}, q/4)$, where $r$ is the output of $\psi_p$. What changes in the
 # gradient? For $f = 0.3$, $\mu = 0.1$, $r = \ln 0.02$ and $q = 0.2$, give the gradients of the bits
 # in $r$ and $q$.
 #
-# **10.3** ●●● Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
+# **10.4** ●●● Write the backward of Eq. (11), with the function `slopes_of_log_p` of this tutorial.
 #
 # **Predict, then run.** The unit of a scene changes from metres to millimetres, so that $f$, $\mu$,
 # $\sigma$ and $q$ are all multiplied by $1000$. What happens to the bits, and what happens to the
@@ -385,6 +447,7 @@ near = np.abs(case["in.z"]) <= 40
 z_golden, w_golden = case["in.z"][near], case["in.w"][near]
 answer_1 = ...
 answer_2 = ...
+answer_3 = ...
 
 
 def my_likelihood_backward(inputs, cotangents):
@@ -392,15 +455,17 @@ def my_likelihood_backward(inputs, cotangents):
     raise NotImplementedError
 
 
-lessons.check_number("10.1", answer_1, case["out.log_p"][near], digits=9)
-lessons.check_number("10.2", answer_2)
-lessons.check_backward("10.3", my_likelihood_backward, "likelihood")
+lessons.check_number("10.1", answer_1)
+lessons.check_number("10.2", answer_2, case["out.log_p"][near], digits=9)
+lessons.check_number("10.3", answer_3)
+lessons.check_backward("10.4", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
 # ## Check your port
 # `p4dgs-ref oracle check DIR --only likelihood` and `--only prior` check what a port wrote; start
 # with the scalar formula, `--only gaussian_bin`. Besides the tails, the usual mistakes are natural
-# logarithms in place of bits, a variance in place of a standard deviation, and a network that
+# logarithms in place of bits, a density in place of a probability, which the checker names, a
+# variance in place of a standard deviation, and a network that
 # returns all means first instead of group by group.
 
 
@@ -474,48 +539,27 @@ fourth = w_narrow**4 / 1920 * (z_narrow**4 - 6 * z_narrow**2 + 3)
 series = density_at(z_narrow) * w_narrow * (1 + second + fourth)
 row = w_narrow[None]
 narrow_bits, _ = likelihood.forward(0 * row + z_narrow, 0 * row, 0 * row + 1, row)
-error = np.abs(np.exp2(-narrow_bits[0]) / series - 1)
 printed = ndtr(z_narrow + w_narrow / 2) - ndtr(z_narrow - w_narrow / 2)
-printed_error = np.abs(printed / series - 1)
-assert error.max() < 1e-13
-assert printed_error[w_narrow < 1e-13].max() > 1e-3
+both_forms = {"in regimes": np.exp2(-narrow_bits[0]), "as printed, float64": printed}
+errors = {name: np.abs(p / series - 1) for name, p in both_forms.items()}
+assert errors["in regimes"].max() < 1e-13
+assert errors["as printed, float64"][w_narrow < 1e-13].max() > 1e-3
 
 distance = np.linspace(0, 14, 141)[None]
-standard = 0 * distance, 0 * distance + 1, 0 * distance + 1  # mu, sigma, q
-stable, _ = likelihood.forward(distance, *standard)
+standard = [distance, 0 * distance, 0 * distance + 1, 0 * distance + 1]  # f, mu, sigma, q
+forms = {"in regimes": likelihood.forward(*standard)[0]}
 with np.errstate(divide="ignore"):
-    printed_64 = likelihood.literal(distance, *standard)
-    printed_32 = likelihood.literal(*(a.astype(np.float32) for a in (distance, *standard)))
-floored = np.minimum(stable, -math.log2(1e-6))
+    forms["as printed, float64"] = likelihood.literal(*standard)
+    forms["as printed, float32"] = likelihood.literal(*(a.astype(np.float32) for a in standard))
+forms["HAC's floor of $10^{-6}$"] = floored_bits(*standard)
 
 # %% [markdown]
 # Left: the cost of a symbol far from the mean, with the printed formula, with the floor of "Break
 # it", and with a function for each regime. Right: the error of the probability in narrow bins.
 
+
 # %%
-figure, (tails, digits) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
-for label, bits, style in (
-    ("in regimes", stable, "-"),
-    ("as printed, float64", printed_64, "--"),
-    ("as printed, float32", printed_32, "--"),
-    ("HAC's floor of $10^{-6}$", floored, ":"),
-):
-    tails.plot(distance[0], np.minimum(bits[0], 150), style, label=label)
-tails.set(
-    xlabel=r"distance from $\mu$ (in $\sigma$)",
-    ylabel="bits (infinite: 150)",
-    title="The printed formula becomes infinite",
-)
-for label, wrong in (("in regimes", error), ("as printed, float64", printed_error)):
-    digits.loglog(w_narrow, wrong + 1e-17, label=label)
-digits.set(
-    xlabel=r"width of the bin $q/\sigma$",
-    ylabel="relative error of the probability",
-    title="The narrower the bin, the fewer digits remain",
-)
-tails.legend(fontsize=11)
-digits.legend(fontsize=11)
-figures.show(figure, "10_prior_and_likelihood")
+panels.tails_and_digits(distance, forms, w_narrow, errors)
 
 # %% [markdown]
 # The golden vectors find both mistakes, the floor and the printed formula. Both fail in the tails

@@ -1,40 +1,63 @@
 # %% [markdown]
-# # Eq. (15): rate against distortion, in real bytes
+# # Eq. (15): what training minimises
 #
-# **Promise.** After this you can draw an honest rate-distortion curve, and say what
-# $\lambda_{rate}$ does to steps and files. **Before it:** `11_rate`. **Takes** ten seconds
-# on two cores, 20 minutes of reading and 25 of exercises.
+# **Promise.** After this tutorial you can say what the weight of the rate does to a file, to its
+# steps and to one anchor, and read a rate-distortion curve. **Before it:** `11_rate`. **Takes** ten
+# seconds of machine time on two cores, 20 minutes of reading and 30 of exercises.
 #
-# **Files:** [total_loss.py](../p4dgs_ref/equations/total_loss.py),
-# [trainer.py](../p4dgs_ref/training/trainer.py), [file.py](../p4dgs_ref/codec/file.py).
+# **File:** Eq. (15) [total_loss.py](../p4dgs_ref/equations/total_loss.py).
 
 # %%
-import copy
-
 import numpy as np
 
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, shared
+from tutorials.tools import architecture, figures, show, tour
 
 plt = figures.pyplot()
-architecture.show("12_rate_distortion", "total_loss", "rate_loss", "file")
+architecture.show("12_rate_distortion")
+
+# %% [markdown]
+# ## What fails without it
+# Training on pictures alone makes them good at any price: nothing says when a bit is not worth it.
+# Training on the size of the file alone would make an empty file.
+#
+# The three files below were trained in the same way, with three prices of a bit: none, that of the
+# demo, and a hundred times as much. The PSNR is that of this view.
+
+# %%
+from p4dgs_ref import decode
+
+figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
+for ax, title in zip(axes, ("no rate", "the demo", "rate times 100")):
+    data = tour.DATA if title == "the demo" else tour.place_of(title).read_bytes()
+    place = tour.CAMERA, tour.T, tour.TRUTH, tour.VIEW
+    show.scored_picture(ax, decode(data), data, *place, title)
+figures.show(figure, "12_three_prices")
 
 # %% [markdown]
 # ## Claim
-# A small file and a good picture are conflicting goals. A single number says how many units of
-# loss one bit per coded number is worth:
-# $$\mathcal{L}_{total} = \lambda_{rate}\mathcal{L}_{rate} + \mathcal{L}_{render} \tag{15}$$
-# Train once for each value of $\lambda_{rate}$, and every training gives one point on the curve
-# of what is possible. Two methods may be compared only at equal PSNR, and only if both are stored
-# alike: most of a factor of a hundred may come from float32 and from the size of a network.
+# One number, $\lambda_{rate}$, says how many units of the pictures' loss a bit is worth. Training
+# minimises
+# $$\mathcal{L}_{total} = \lambda_{rate}\,\mathcal{L}_{rate} + \mathcal{L}_{render} \tag{15}$$
+# (paper, Sec. 3.3). $\mathcal{L}_{render}$ measures how wrong a picture is; its formula, Eq. (16),
+# is the subject of `16_render_loss`, and here any measure of the error would do. Every number of
+# every anchor feels two pulls, one from the pictures in which the anchor is seen, and one from its
+# own bits.
+#
+# The paper does not state its values of $\lambda_{rate}$ (choices `Q12` and `Q17`). Here
+# $\mathcal{L}_{rate}$ is in bits per parameter, so that a value of $\lambda_{rate}$ means the same
+# for small and large scenes. The paper's Eq. (17) is the plain sum of the bits. With it, the same
+# $\lambda_{rate}$ would give the rate ten times the weight in a scene with ten times as many
+# anchors, because $\mathcal{L}_{render}$ is a mean and does not grow with the scene.
 
 # %% [markdown]
 # ## By hand
 # A number can be coded in three ways. A costs 6 bits and leaves an error of 0.01, B costs 3 bits
-# and leaves 0.05, and C costs 1 bit and leaves 0.3. With $\lambda = 0.005$ the cheapest way is A,
-# with 0.02 it is B, and with 0.2 it is C. No bit budget is needed.
+# and leaves 0.05, and C costs 1 bit and leaves 0.3. With $\lambda = 0.005$ the cheapest way is A
+# ($0.005\cdot 6 + 0.01 = 0.04$), with 0.02 it is B, and with 0.2 it is C. No budget of bits is
+# needed.
 
 # %%
 ways = {"A": (6, 0.01), "B": (3, 0.05), "C": (1, 0.3)}
@@ -48,308 +71,276 @@ assert [best_way(price) for price in (0.005, 0.02, 0.2)] == ["A", "B", "C"]
 
 # %% [markdown]
 # ## In code
-# The model of the demo is trained already (`demo.p4dgs`). From its file we take what the first
-# three stages train: anchors, features, and the networks that draw with them. The hash grid and its
-# two networks begin anew, as they do when stage 4 starts. From this state we train 120 iterations
-# with each of four prices. The paper does not state its prices. Those of HAC, whose prior it uses,
-# span a factor of 8; ours, for so few iterations, span a factor of 64.
+# All three quantities are single numbers, and the forward is one line. The demo's scene was trained
+# with five prices: 0, the demo's 0.0005, and 4, 16 and 100 times as much. Everything else is equal.
+# Each of the five files is decoded. The next cell computes its $\mathcal{L}_{render}$ as a mean
+# over the ten test views, which training has not seen, and its $\mathcal{L}_{rate}$ from the
+# integers in the file.
 
 # %%
-from p4dgs_ref import decode, encode, evaluate, load_scene
-from p4dgs_ref.codec.file import ATTRIBUTE_SECTIONS
-from p4dgs_ref.model import context
-from p4dgs_ref.report.inspect import components
-from p4dgs_ref.training.presets import choose
-from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref import load_scene
+from p4dgs_ref.codec.container import read_container
+from p4dgs_ref.codec.file import quantised_of
+from p4dgs_ref.equations import hash_rate, render_loss, total_loss
+from p4dgs_ref.lessons import close
+from p4dgs_ref.report.inspect import symbol_bits
+from p4dgs_ref.training.objective import psnr
 
-PRICES = (5e-4, 2e-3, 8e-3, 3.2e-2)
-scene = load_scene("bouncing")
-changes = dict(
-    anchors=199,
-    stage_ends=(1, 2, 3, 123),
-    grow="off",
-    mask_from=123,
-    decay_from=3,
-    lr_x=(0.002, 0.0002),
-    lr_grid=(0.03, 0.003),
-    lr_q=(0.05, 0.005),
-    lr_p=(0.05, 0.005),
-)
-start = Trainer(scene, choose("tiny", changes), seed=0)
-arrays, state = shared.at_stage_4(start, decode((shared.FOLDER / "demo.p4dgs").read_bytes()))
+# paper, Sec. 3.3: the sum of both losses, with a weight
+# silent: Q12, the unit of L_rate, and Q17, the weight
+assert close(total_loss.forward(0.07, 2.4, 0.001)[0], 0.001 * 2.4 + 0.07)
+
+DEMO = 0.0005
+price_of = {"no rate": 0, "the demo": 1, "rate times 4": 4, "rate times 16": 16}
+price_of = {name: DEMO * times for name, times in {**price_of, "rate times 100": 100}.items()}
+views = load_scene("bouncing").test
+files = {name: tour.place_of(name).read_bytes() for name in price_of if name != "the demo"}
+files = {name: files.get(name, tour.DATA) for name in price_of}
+decoded = {name: quantised_of(read_container(data)) for name, data in files.items()}
 
 
-def branch(price):
-    """Train stage 4 from the common state at one price."""
-    trainer = Trainer(scene, choose("tiny", {**changes, "lambda_rate": price}), seed=0)
-    own_arrays = {name: np.array(array) for name, array in arrays.items()}
-    trainer.restore(own_arrays, copy.deepcopy(state))
-    while trainer.iteration < trainer.preset.iterations:
-        losses = trainer.step()[0]
-    return trainer, losses
+def losses(file):
+    """Return L_rate, L_render and PSNR of a file."""
+    model, R_anchor = file.model, symbol_bits(file).sum()
+    (R_hash, _, _), _ = hash_rate.forward(model.grids)
+    pairs = [(model.render(view.camera, view.time), view.image) for view in views]
+    wrong = np.mean([render_loss.forward(*pair, 0.2)[0][0] for pair in pairs])
+    return (R_anchor + R_hash) / file.symbols.size, wrong, np.mean([psnr(*p) for p in pairs])
 
 
-def measured(price):
-    """The bytes of the file, and the quality of the pictures that are decoded from it."""
-    trainer, losses = branch(price)
-    data = encode(trainer.model())
-    decoded = decode(data)
-    part = components(data)
-    sizes = [part[name] for name in ATTRIBUTE_SECTIONS]
-    ctx, _ = context(trainer.design, trainer.networks, trainer.grids, trainer.located)
-    return dict(
-        price=price,
-        bytes=len(data),
-        attributes=sum(sizes),
-        parts=[*sizes, part["hash_grid"]],
-        grid=part["hash_grid"],
-        networks=sum(size for name, size in part.items() if "mlp" in name),
-        estimate=losses.bits / 8,
-        psnr=evaluate(decoded, scene)[0]["psnr_db"],
-        q=ctx.q.mean(axis=0),
-        model=decoded,
-        psi_p=trainer.networks["psi_p"],
-    )
-
-
-points = [measured(price) for price in PRICES]
-
-
-def column(name):
-    return np.array([point[name] for point in points])
-
-
-print("lambda   file  attributes  grid  networks  estimate  PSNR      mean steps of f, s, l, O")
-for m in points:
-    print(f"{m['price']:.4f}  {m['bytes']:5d}  {m['attributes']:10d}  {m['grid']:4d}", end="  ")
-    print(f"{m['networks']:8d}  {m['estimate']:8.0f}  {m['psnr']:.2f} dB ", m["q"].round(4))
-assert (np.diff(column("bytes")) < 0).all()
-assert (np.diff(column("attributes")) < 0).all()
-assert column("psnr")[0] > column("psnr")[-1] + 0.5
+rate, distortion, quality = np.transpose([losses(file) for file in decoded.values()])
+prices = np.array([*price_of.values()])
+for row in zip(prices, rate, distortion, quality, map(len, files.values())):
+    print("price {:.4f}: L_rate {:5.2f}, L_render {:.4f}, {:.2f} dB, {} bytes".format(*row))
 
 # %% [markdown]
-# Each point is a file that was written and read again. The price acts on the attributes and the
-# grid. Networks, header and positions have the same size at every price, and in such a small
-# scene they are most of the file. This must be said beside every ratio.
+# ## The price chooses a point
+# If training does what Eq. (15) says, every file must be the best of the five at the price for
+# which it was trained. The next table computes Eq. (15) of all five files at all five prices. In
+# each row the smallest number is on the diagonal.
 
 # %%
-coded = column("attributes") + column("grid")
-fixed = column("bytes") - coded
-assert np.ptp(fixed) < 0.02 * fixed.mean()
-assert (fixed > column("attributes")).all()
+totals = total_loss.forward(distortion, rate, prices[:, None])[0]  # [price, file]
+for price, row in zip(prices, totals):
+    print(f"price {price:.4f}:", "  ".join(f"{total:.4f}" for total in row))
+assert totals.argmin(axis=1).tolist() == [0, 1, 2, 3, 4]
+
+# %% [markdown]
+# On the left, each file is a point. Of all points, training looks for the one with the smallest
+# $\lambda\,\mathcal{L}_{rate} + \mathcal{L}_{render}$. All points with the same sum lie on a line
+# of slope $-\lambda$, so the best point is where the lowest such line touches. A steep line touches
+# on the left, where bits are few. The curve through such points is the *rate-distortion curve*.
+# Between two files its slope must lie between their prices, and it does.
+#
+# On the right are the bits of *anchor 29*, which is the same anchor in all five files because the
+# price acts in the last stage of training only. Its fifth feature, 7 in the demo's file, is 4802
+# without a price, and 2, 0 and -1 with the higher ones.
 
 # %%
-figure, (curve, bars) = plt.subplots(1, 2, figsize=(11.5, 4.8), layout="constrained")
-curve.plot(coded, column("psnr"), "o-", ms=9)
-for place in zip(coded, column("psnr"), PRICES):
-    curve.annotate(
-        rf"$\lambda$ = {place[2]:g}", place[:2], xytext=(12, -18), textcoords="offset points"
-    )
-curve.set(
-    xlabel="attributes and grid in the file (bytes)",
-    ylabel="decoded test views, PSNR (dB)",
-    title="More bytes, better pictures",
+thread = figures.THREAD
+of_29 = {name: symbol_bits(file)[thread.index].sum() for name, file in decoded.items()}
+fifth = [int(file.symbols[thread.index, 4]) for file in decoded.values()]
+print(f"{thread.name}:", ", ".join(f"{bits:.0f} bits" for bits in of_29.values()))
+assert fifth == [4802, 7, 2, 0, -1]
+slopes = -np.diff(distortion) / np.diff(rate)
+assert ((prices[:-1] < slopes) & (slopes < prices[1:])).all()
+
+# %%
+figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.8), layout="constrained")
+left.plot(rate, distortion, "o", ms=9, color=show.RATE)
+for price, x, y, dx, up in zip(prices, rate, distortion, (3, 2, 2, 1.2, 0.1), (8, -22, 6, 6, 6)):
+    line = np.array([x - dx, x + dx])
+    left.plot(line, y - price * (line - x), color=show.GREY, lw=1)
+    left.annotate(rf"$\lambda$ = {price:g}", (x, y), (8, up), textcoords="offset points")
+left.set(
+    xlabel=r"$\mathcal{L}_{rate}$ (bits per number)",
+    ylabel=r"$\mathcal{L}_{render}$, test views",
+    title=r"a line of slope $-\lambda$ touches at each file",
+    xlim=(0, 18),
+    ylim=(0.005, 0.032),
 )
-curve.margins(0.3, 0.2)
-bottom = np.zeros(len(points))
-shares = zip((*ATTRIBUTE_SECTIONS, "hash_grid"), column("parts").T, figures.COLORS)
-for name, sizes, color in shares:
-    bars.bar(range(len(points)), sizes, bottom=bottom, color=color)
-    place = bottom[-1] + sizes[-1] / 2
-    bars.text(3.45, place, name.replace("_", " "), color=color, va="center", fontsize=11)
-    bottom += sizes
-figures.finish(
-    bars,
-    xticks=range(len(points)),
-    xticklabels=[f"{price:g}" for price in PRICES],
-    xlabel=r"$\lambda_{rate}$",
-    ylabel="attributes and grid in the file (bytes)",
-    title=f"What the price acts on; the other\n{fixed.mean():,.0f} bytes stay as they are",
-    xlim=(-0.5, 4.9),
-)
+right.barh([f"{price:g}" for price in prices], of_29.values(), color=thread.color)
+for i, (bits, symbol) in enumerate(zip(of_29.values(), fifth)):
+    right.text(bits, i, f" {bits:.0f} bits; its fifth feature is {symbol}", va="center")
+right.invert_yaxis()
+right.set(xlabel="bits", ylabel=r"price $\lambda_{rate}$", title="anchor 29", xlim=(0, 950))
 figures.show(figure, "12_rate_distortion")
 
 # %% [markdown]
-# All four pictures look sharp. The price shows in their errors, at the edges and in the tiles. Each
-# of the four files must also show the blue ball in its colour, in two views, on the pixels that it
-# has in the true picture.
+# ## Backward by hand
+# The sum is linear. $\mathcal{L}_{render}$ receives the cotangent of $\mathcal{L}_{total}$, and
+# $\mathcal{L}_{rate}$ receives $\lambda_{rate}$ times as much.
 
 # %%
-for view in (scene.test[2], scene.test[5]):
-    ball = view.image[..., 2] - view.image[..., 0] > 0.25
-    for m in points:
-        m["picture"] = m["model"].render(view.camera, view.time).clip(0, 1)
-        red, green, blue = m["picture"][ball].mean(axis=0)
-        assert blue > 1.2 * max(red, green), (m["price"], red, green, blue)
-
-# %%
-from tutorials.tools import show
-
-figure, (drawn, wrong) = plt.subplots(2, 5, figsize=(12, 5.2), layout="constrained")
-for ax, below, m in zip(drawn, wrong, points):
-    show.picture(
-        ax,
-        show.frame(m["model"], view.camera, view.time),
-        view.camera,
-        title=rf"$\lambda$ = {m['price']:g}" f"\n{m['attributes']:,} bytes",
-    )
-    shades = below.imshow(
-        np.abs(m["picture"] - view.image).mean(axis=2),
-        cmap="magma",
-        vmin=0,
-        vmax=0.2,
-    )
-show.picture(drawn[4], view.image, view.camera, title="truth,\n64 × 64 pixels")
-for ax in wrong:
-    ax.axis("off")
-figure.colorbar(shades, cax=wrong[4].inset_axes((0.2, 0.1, 0.1, 0.8)), label="error of a pixel")
-figure.suptitle("A test view from the four files; bytes of the attributes")
-figures.show(figure, "12_rate_distortion_pictures")
+_, saved = total_loss.forward(0.07, 2.4, 0.001)
+assert total_loss.backward(saved, 5.0) == {"L_render": 5.0, "L_rate": 0.001 * 5}
 
 # %% [markdown]
-# ## Backward by hand
-# Which step does training choose? Consider one number whose step $q$ is small compared with
-# $\sigma$. The noise costs $w q^2/12$, where $w$ says how sensitive the picture is. The bits are
-# those of a density, $R = c - \log_2 q$. The best step is where the two derivatives cancel:
+# **Which step does training choose?** Consider one number whose step $q$ is small compared with
+# $\sigma$. Its noise costs $w q^2/12$ in the pictures (`07_noise_and_rounding`), where $w$ says how
+# sensitive they are to it. Its bits are $R = c - \log_2 q$: doubling the step saves one bit
+# (`10_prior_and_likelihood`). The best step is where the two derivatives cancel:
 # $$\frac{wq}{6} - \frac{\lambda}{q\ln 2} = 0 \quad\Longrightarrow\quad
 #   q^* = \sqrt{\frac{6\lambda}{w\ln 2}}.$$
+# Four times the price therefore doubles the step, which saves one bit for every number and makes
+# its squared error four times as large, 6.02 dB. And a number that matters four times as much gets
+# half the step, $q^* \propto w^{-1/2}$.
+
 
 # %%
-w = 0.5
-
-
-def best_step(price):
+def best_step(price, w):
     return np.sqrt(6 * price / (w * np.log(2)))
 
 
 steps = np.linspace(0.01, 0.5, 4901)
-for price in (1e-3, 4e-3):
-    cost = w * steps**2 / 12 - price * np.log2(steps)
-    assert abs(steps[cost.argmin()] - best_step(price)) < 1e-4
+for price in (0.001, 0.004):
+    cost = 0.5 * steps**2 / 12 - price * np.log2(steps)
+    assert abs(steps[cost.argmin()] - best_step(price, 0.5)) < 1e-4
+assert close(best_step(0.004, 0.5), 2 * best_step(0.001, 0.5))
 
 # %% [markdown]
-# Does Eq. (11) agree with $R = c - \log_2 q$? There $q$ acts twice, in the width of the bin and
-# in the noise $\tilde f = f + uq$, which moves as well. The mean of both gradients over many
-# numbers must be $-1/(q\ln 2)$.
+# Do the trained files follow this law? From the demo's price to four times as much, the steps of
+# offset scaling and offsets grow by 2.1 and 2.2. Those of features and scales cannot: they come to
+# the limit $2Q_0$ of Eq. (8), which all steps reach at 16 times the price. From there on, bits can
+# only be saved by numbers that move toward their prediction. If steps are at their limit, a larger
+# $Q_0$ is worth a try.
 
 # %%
-from p4dgs_ref.equations import likelihood
-
-rng = np.random.default_rng(27)
-count, q = 400_000, 0.05
-f = rng.normal(size=(count, 1))  # mean 0, deviation 1
-u = rng.random((count, 1)) - 0.5
-zeros, ones = np.zeros_like(f), np.ones_like(f)
-_, saved = likelihood.forward(f + u * q, zeros, ones, q * ones)
-gradients = likelihood.backward(saved, ones)
-slope = (gradients["q"] + u * gradients["f_noisy"]).mean()
-expected = -1 / (q * np.log(2))
-print(f"dR/dq: by Eq. (11) {slope:.3f}, by -1/(q ln 2) {expected:.3f}")
-assert abs(slope / expected - 1) < 0.01
-
-# %% [markdown]
-# Four times the price therefore doubles the step, which saves one bit for every number and makes
-# the squared error four times as large, 6.02 dB. This is the law of a quantiser at a high rate.
-# It ends where $q$ comes close to $\sigma$, because bits cannot fall below 0.
-
-# %%
-assert np.isclose(best_step(4e-3), 2 * best_step(1e-3))
-one = np.ones((1, 1))
-bits_of_wide_bin, _ = likelihood.forward(0 * one, 0 * one, one, 20 * one)
-assert 0 <= bits_of_wide_bin[0, 0] < 1e-6
-
-# %% [markdown]
-# Did our models follow the law? All steps increase with the price, but less than the law says. The
-# reason is the upper limit $2Q_0$ of Eq. (8), here 0.5, 0.02, 0.02 and 0.2,
-# which all four steps reach at the highest price. Beyond it, bits decrease only where the numbers
-# and the prior move toward each other. If steps reach their limit, choose a larger $Q_0$.
-
-# %%
-limit = 2 * np.array(start.design.Q_0)
-growth = points[-1]["q"] / points[0]["q"]
-law = best_step(PRICES[-1]) / best_step(PRICES[0])
-print(
-    f"steps at the highest price over steps at the lowest: {growth.round(2)}; "
-    f"the law says {law:.2f}"
-)
-assert np.allclose(limit, [0.5, 0.02, 0.02, 0.2])
-assert growth[0] > 1.3 and growth[3] > 1.3 and (growth < law).all()
-assert (points[-1]["q"] > 0.99 * limit).all()
+mean_steps = [file.context.q.mean(axis=0) for file in decoded.values()]
+shares = np.array(mean_steps) / decoded["the demo"].model.design.Q_0  # [price, group]
+for price, row in zip(prices, shares):
+    print(f"price {price:.4f}:", ", ".join(f"{g} {x:.3f} Q_0" for g, x in zip("fslO", row)))
+growth = shares[2] / shares[1]
+assert np.round(growth[2:], 1).tolist() == [2.1, 2.2]
+assert (shares[3:] > 1.99).all()
 
 # %% [markdown]
 # ## Break it
-# "For the best picture, set $\lambda_{rate} = 0$." The picture is indeed about as good. But
-# $\psi_p$ then receives no gradient at all and stays as random as it was at the start. The loss
-# does not show this; the size of the file does. Nothing rewards a coarse step any more, so
-# the steps shrink, too.
+# "For the best picture, set $\lambda_{rate} = 0$." The first row above shows what then happens.
+# Nothing rewards a coarse step, and the steps of features and offsets shrink to the floor of Eq.
+# (8), a thousandth of $Q_0$. Nothing trains $\psi_p$, whose guesses stay random. The numbers and
+# signs take 3.5 times as many bytes, and the test views gain 0.2 dB. [See it
+# move](viewer/demo.html#step=lambda): the demo's scene at five prices.
+#
+# A port may also copy the form of a weighted mean, $(1-\lambda)\,\mathcal{L}_{render} +
+# \lambda\,\mathcal{L}_{rate}$. With $\lambda = 0.0005$ no training would notice, because the loss
+# changes by a two-thousandth of $\mathcal{L}_{render}$. The golden vectors do notice.
+
 
 # %%
-free = measured(0.0)
-paid = points[0]
-for kind, layers in zip("Wb", free["psi_p"]):
-    for i, array in enumerate(layers):
-        assert np.array_equal(array, arrays[f"p/psi_p.{kind}{i}"])
-assert free["attributes"] > 2.5 * paid["attributes"]
-assert (free["q"] < paid["q"] / 5).all()
-assert abs(free["psnr"] - paid["psnr"]) < 0.5
-for m in (free, paid):
-    print(f"price {m['price']:g}: {m['attributes']} bytes of attributes, {m['psnr']:.2f} dB")
+def weighted_mean(L_render, L_rate, lambda_rate):
+    return (1 - lambda_rate) * L_render + lambda_rate * L_rate
+
+
+assert shares[0, [0, 3]].round(3).tolist() == [0.001, 0.001]
+assert round(quality[0] - quality[1], 1) == 0.2
+lessons.check_mistake(weighted_mean, "total_loss", "1 - lambda_rate")
 
 # %% [markdown]
 # ## What a codec does with it
-# The quality setting of a video encoder is such a price: it fixes how much a bit is worth, not
-# the size of the file. And an estimate is not a file. Eqs. (13) and (14) leave out positions,
-# masks, networks and header, which are here more than 90 percent of the bytes.
+# The quality setting of a video encoder is such a price. It fixes what a bit is worth, and not the
+# size of the file: at the same price, a scene with more motion becomes a larger file.
+#
+# The price acts on the numbers of the anchors and on the signs of the grid. Positions, masks,
+# networks and the header have nearly the same size at every price, and in such a small scene they
+# are most of the file. The cell prints both.
 
 # %%
-left_out = 1 - column("estimate") / column("bytes")
-overhead = coded / column("estimate") - 1
-print("left out by the estimate:", [f"{share:.1%}" for share in left_out])
-print("streams compared with the estimate:", [f"{share:+.1%}" for share in overhead])
-assert (left_out > 0.9).all()
-assert (np.abs(overhead) < 0.05).all()
+from p4dgs_ref.report.inspect import components
+
+PRICED = ("features", "scales", "offset_scales", "offsets", "hash_grid")
+priced = [sum(components(data)[name] for name in PRICED) for data in files.values()]
+others = [len(data) - size for data, size in zip(files.values(), priced)]
+print("bytes that the price acts on:", priced)
+print("all other bytes:", others)
+assert max(others) - min(others) < 0.01 * min(others)
+assert round(priced[0] / priced[1], 1) == 3.5
 
 # %% [markdown]
-# Nor is a comparison of files a comparison of methods. D3DGS's authors store their Gaussians in
-# float32, beside a network of eight layers, and our file is entropy coded. Most of a factor between
-# such files is the format and the size of the network, which every method could change. Two methods
-# are compared at equal PSNR, with networks of one size, and with both sides quantised and coded.
+# ## What this idea buys
+# One method gives a range of files: with a price $\lambda_{rate}$ of 0.01 instead of 0.0005, our
+# file has 5 percent fewer bytes and 2.3 dB less. In the paper, T-Rex has two rates, 41 percent
+# apart (Table 4), and the means over its synthetic scenes go from 1.03 MB and 38.10 dB to 0.57 MB
+# and 35.10 dB (its last table). Our range is narrow because networks, on which the price does not
+# act, are 87 percent of the file; the paper names the same limit for its low rates.
+
+# %%
+from tutorials import gains
+
+rows = {"price 0.01": "p4dgs lambda_rate=0.01", "price 0.0005": "p4dgs"}
+low, high = (gains.mean(label, "psnr_db", "curve") for label in rows.values())
+assert 2.3 < high - low < 2.4
+paper = {"low rate": (0.506, ""), "high rate": (0.857, "")}
+gains.show("12_rate_distortion", rows, paper, "curve")
+
+# %% [markdown]
+# Here ends the path for readers who know Gaussian splatting. You have followed an anchor from the
+# picture to its bytes: what it predicts, how it moves, how it is rounded, what its numbers cost,
+# and the one sum that decides all of this.
+#
+# **In short**
+# - Training minimises the loss of the pictures plus $\lambda_{rate}$ times the bits; each value of
+#   $\lambda_{rate}$ gives another file.
+# - At the minimum, one bit more per number would improve $\mathcal{L}_{render}$ by
+#   $\lambda_{rate}$.
+# - Four times the price doubles a step, as long as the step is below its limit and small compared
+#   with $\sigma$.
+#
+# **Often misunderstood**
+# - *$\lambda_{rate}$ is a budget.* It is a price. How large a file becomes at this price depends on
+#   the scene.
+# - *$\lambda_{rate} = 0$ gives the best picture.* It gives a file of 47,502 bytes instead of
+#   38,683, for 0.2 dB on the test views.
+# - *The smaller of two files is that of the better method.* Two methods are compared at equal PSNR,
+#   with networks of one size, and with both sides rounded and coded alike. Most of a large factor
+#   between two files may be float32 and the size of a network.
 
 # %% [markdown]
 # ## Exercises
-# **12.1** ● At which price are the ways A and B of "By hand" equally good?
+# **12.1** ● For the golden case printed below, with $\lambda_{rate} = 10^{-3}$, give three numbers:
+# $\mathcal{L}_{total}$, $\bar{\mathcal{L}}_{render}$ and $\bar{\mathcal{L}}_{rate}$. The cotangent
+# $\bar{\mathcal{L}}_{total}$ is printed as `out_bar.L_total`.
 #
-# **12.2** ● A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
+# **12.2** ● At which price are the ways A and B of "By hand" equally good?
 #
-# **12.3** ●● Write the backward of Eq. (17). Its output `bits` is the sum of the two rates, and
-# `L_rate` is `bits` divided by `n_parameters`, or zero if there are none.
+# **12.3** ● A feature has the sensitivity $w = 2$. Which step is best at $\lambda = 0.001$?
+#
+# **12.4** ●●● Write the gradients in `mu` and `q` of the whole rate, Eqs. (11), (13), (14) and
+# (17). Each step serves a whole group of numbers. `likelihood` is in `p4dgs_ref.equations`.
 #
 # **Predict, then run.** The price $\lambda$ is multiplied by $4$. What happens to the best step,
 # to the bits of a number and to its squared error?
 
 # %%
+case = lessons.golden("total_loss/ordinary")
+for name in ("in.L_render", "in.L_rate", "out_bar.L_total"):
+    print(name, float(case[name]))
 answer_1 = ...
 answer_2 = ...
+answer_3 = ...
 
 
-def my_backward(inputs, cotangents):
-    """Return {"R_anchor", "R_hash"}.
+def my_rate_backward(inputs, cotangents):
+    """Return {"mu" [A, n], "q" [A, 4]}; the cotangents are "bits_bar" and "L_rate_bar".
 
-    The cotangents are "bits_bar" and "L_rate_bar"; the inputs "R_anchor", "R_hash", "n_parameters".
+    `inputs` holds noisy, mu and sigma [A, n] with the columns f, s, l, O, q [A, 4], mask [A, k],
+    grids, d and k. Masked offsets cost no bits. The output bits is R_anchor + R_hash, and L_rate is
+    bits divided by the count of all numbers, the masked ones included.
     """
     raise NotImplementedError
 
 
 lessons.check_number("12.1", answer_1)
 lessons.check_number("12.2", answer_2)
-lessons.check_backward("12.3", my_backward, "rate_loss")
+lessons.check_number("12.3", answer_3)
+lessons.check_backward("12.4", my_rate_backward, "rate_stage", "mu", "q")
 
 # %% [markdown]
 # ## Check your port
-# Run `p4dgs-ref oracle check DIR --only rate_loss`, then `--only total_loss`. A typical mistake
-# of ports is to multiply $\lambda_{rate}$ by the plain sum of bits. The resulting curve looks
-# fine, but every scene then needs other prices: they differ from ours by the count of coded
+# `p4dgs-ref oracle check DIR --only total_loss` and `--only rate_stage` compare what a port wrote.
+# A typical mistake is to multiply $\lambda_{rate}$ by the plain sum of bits. The resulting curve
+# looks right, but every scene then needs other prices, and they differ from ours by the count of
 # numbers.
 
 # %%
-lessons.passes("rate_loss", "total_loss")
+lessons.passes("total_loss")

@@ -21,7 +21,7 @@ from p4dgs_ref.lessons import TUTORIALS
 from tutorials.tools.syllabus import FOLDER, write_text
 
 FROM_DATA = {  # compared with arrays of the golden data or of a file, or with counts in the text
-    "10.1",
+    "10.2",
     "20.3",
     "21.2",
     "21.3",

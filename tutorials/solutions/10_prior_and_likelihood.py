@@ -12,7 +12,16 @@ from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lessons import close
 
 # %% [markdown]
-# **10.1** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is
+# **10.1** The density is $1/(\sigma\sqrt{2\pi})$, about 20. The bin is narrow, so its area is
+# nearly the density times $q$, about 0.02.
+
+# %%
+density = 1 / (0.02 * math.sqrt(2 * math.pi))
+bits, _ = likelihood.forward(*(np.array([[value]]) for value in (0.0, 0.0, 0.02, 0.001)))
+lessons.check_number("10.1", [density, 2 ** -bits[0, 0]], [19.9471140, math.erf(0.025 / 2**0.5)])
+
+# %% [markdown]
+# **10.2** The mirrored bin has $p = \Phi(-low) - \Phi(-high) = \Phi(-low)\,(1 - r)$, where $r$ is
 # the ratio of the two tails. `log_ndtr` gives the logarithms of both tails, for every bin here.
 # Only $\log(1-r)$ needs care, and `log1p` computes it accurately.
 
@@ -22,8 +31,8 @@ near = np.abs(case["in.z"]) <= 40
 z, w = np.abs(case["in.z"][near]), case["in.w"][near]
 tail = log_ndtr(-(z - w / 2))
 beyond = log_ndtr(-(z + w / 2))
-answer_1 = tail + np.log1p(-np.exp(beyond - tail))
-lessons.check_number("10.1", answer_1, case["out.log_p"][near], digits=9)
+answer_2 = tail + np.log1p(-np.exp(beyond - tail))
+lessons.check_number("10.2", answer_2, case["out.log_p"][near], digits=9)
 
 # %% [markdown]
 # With `erfcx`, which the project uses, the factor $e^{-low^2/2}$ goes directly into the logarithm.
@@ -32,11 +41,11 @@ lessons.check_number("10.1", answer_1, case["out.log_p"][near], digits=9)
 low, high = z - w / 2, z + w / 2
 root = math.sqrt(0.5)
 g = 0.5 * (erfcx(low * root) - np.exp(-z * w) * erfcx(high * root))
-assert close(np.log(g) - low**2 / 2, answer_1, 1e-11)
+assert close(np.log(g) - low**2 / 2, answer_2, 1e-11)
 
 
 # %% [markdown]
-# **10.2** On the bound $\sigma = q/4$, so $r$ gets no gradient, and $\psi_p$ does not learn that
+# **10.3** On the bound $\sigma = q/4$, so $r$ gets no gradient, and $\psi_p$ does not learn that
 # its $\sigma$ is too small. The gradient of $\sigma$ goes to $q$ instead, with the factor
 # $\frac14$. The bits now depend only on $(f-\mu)/q$, which gives the same gradient of $q$ in
 # another way: $\bar q = -\bar f\,(f-\mu)/q$.
@@ -59,12 +68,12 @@ gradients = {
 }
 _ = lessons.adjoint(np.random.default_rng(10), bits_with_floor, sure, np.ones((1, 1)), gradients)
 by_scale = -bars["f_noisy"] * (f - mu) / sure["q"]
-answer_2 = [gradients["r"][0, 0], gradients["q"][0, 0]]
-lessons.check_number("10.2", answer_2, [0, by_scale[0, 0]])
+answer_3 = [gradients["r"][0, 0], gradients["q"][0, 0]]
+lessons.check_number("10.3", answer_3, [0, by_scale[0, 0]])
 
 
 # %% [markdown]
-# **10.3** There are two slopes and four inputs, and $\sigma$ receives a term from each slope.
+# **10.4** There are two slopes and four inputs, and $\sigma$ receives a term from each slope.
 
 
 # %%
@@ -88,7 +97,7 @@ def my_likelihood_backward(inputs, cotangents):
     }
 
 
-lessons.check_backward("10.3", my_likelihood_backward, "likelihood")
+lessons.check_backward("10.4", my_likelihood_backward, "likelihood")
 
 # %% [markdown]
 # **Predict, then run.** Eq. (11) contains only quotients, so the bits stay the same. A change of

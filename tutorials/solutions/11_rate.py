@@ -5,7 +5,7 @@
 import numpy as np
 
 from p4dgs_ref import lessons
-from p4dgs_ref.equations import anchor_rate, hash_rate, rate_loss
+from p4dgs_ref.equations import anchor_rate, hash_rate, likelihood, rate_loss
 
 # %% [markdown]
 # **11.1** An anchor has $4 + 6 + 15 = 25$ numbers, and 22 of them stay. $\mathcal{L}_{rate}$ is
@@ -70,6 +70,25 @@ for count, n, slope in ((8, 16, answer_3[0][0]), (2, 8, answer_3[1][0]), (6, 8, 
     difference = (bits(count + h, n) - bits(count - h, n)) / (2 * h)
     assert np.isclose(slope, difference / 2, atol=1e-8)  # theta moves half as many signs
 lessons.check_number("11.3", answer_3, [[0, 0], [np.log2(3) / 2, -np.log2(3) / 2]])
+
+# %% [markdown]
+# **11.4** The columns are the groups f, s, l, O, and each column uses the step of its group. The
+# offsets of masked children have no bits, but the count of all numbers includes them.
+
+
+# %%
+def my_rate(noisy, mu, sigma, q, mask, grids, d, k):
+    widths = d, 3, 3, 3 * k
+    bits, _ = likelihood.forward(noisy, mu, sigma, np.repeat(q, widths, axis=1))
+    R_anchor = bits[:, : d + 6].sum() + bits[:, d + 6 :][np.repeat(mask, 3, axis=1)].sum()
+    positive = np.concatenate([grid.ravel() for grid in grids]) >= 0
+    counts = np.array([positive.sum(), (~positive).sum()])
+    counts = counts[counts > 0]
+    total = R_anchor - (counts * np.log2(counts / positive.size)).sum()
+    return {"bits": total, "L_rate": total / noisy.size}
+
+
+lessons.check_forward("11.4", my_rate, "rate_stage")
 
 # %% [markdown]
 # **Predict, then run.** $N_+$ and $N_-$ change places. The rate is the same, and its gradient has
