@@ -17,7 +17,7 @@ import numpy as np
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, show, tour
+from tutorials.tools import architecture, figures, panels, show, tour
 
 plt = figures.pyplot()
 architecture.show("05_positional_encoding_and_deformation")
@@ -224,25 +224,7 @@ errors = [error for _, error in fits.values()]
 assert errors == sorted(errors, reverse=True)
 
 # %%
-figure, (left, right) = plt.subplots(
-    1, 2, figsize=(12.5, 4.8), layout="constrained", width_ratios=(1, 1.1)
-)
-image = 0.4 + 0.6 * show.frame(model, camera, 0)
-show.picture(left, image, camera, **tour.VIEW, title="the paths of anchor 29's children")
-for path in show.to_pixels(paths, camera).swapaxes(0, 1):
-    left.plot(*path.T, color=thread.color)
-    left.plot(*path[::25].T, "o", ms=5, color=thread.color)
-right.plot(time, height, color=thread.color, lw=9, alpha=0.4, label=f"child {thread.child}")
-for L, (curve, error) in fits.items():
-    right.plot(time, curve, label=f"$L_t = {L}$, rms error {error:.3f}")
-figures.finish(
-    right,
-    xlabel="time $t$",
-    ylabel="height (scene units)",
-    title=f"the height of child {thread.child}, as sums of waves",
-    legend={"fontsize": 11},
-)
-figures.show(figure, "05_positional_encoding_and_deformation")
+panels.paths(model, camera, tour.VIEW, paths, time, height, fits)
 
 # %% [markdown]
 # ## Backward by hand

@@ -15,7 +15,7 @@ import numpy as np
 from p4dgs_ref import lessons
 
 lessons.find_tools()
-from tutorials.tools import architecture, figures, show, tour
+from tutorials.tools import architecture, figures, panels, show, tour
 
 plt = figures.pyplot()
 architecture.show("09_hash_grid")
@@ -160,26 +160,7 @@ plane = np.stack([x, y, 0 * x + z_0], axis=-1).reshape(-1, 3)
 values, _ = hash_grid.forward(plane, *model.box, model.grids, model.design.grid)
 
 # %%
-figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
-extent = (x_0, x_1, y_0, y_1)
-left.imshow(values[:, 2].reshape(161, 161), origin="lower", extent=extent, cmap="PuOr", alpha=0.75)
-nodes = np.stack(np.meshgrid(np.linspace(x_0, x_1, 16), np.linspace(y_0, y_1, 16)), axis=-1)
-positive = model.grids[1][:, 0].reshape(16, 16) >= 0
-left.plot(*nodes[positive].T, "P", ms=8, color="k")
-left.plot(*nodes[~positive].T, "s", ms=6, color="w", mec="k")
-cell = (np.abs(nodes - x_29[:2]) < nodes[1, 1] - nodes[0, 0]).all(axis=-1)
-left.plot(*nodes[cell].T, "o", ms=17, mfc="none", mec=thread.color, mew=2.5)
-left.plot(*x_29[:2], "o", ms=11, color=thread.color)
-left.set(
-    xlabel="x (scene units)",
-    ylabel="y (scene units)",
-    title="signs (+ and squares) and h between them",
-)
-names = [f"{axes}, {i}" for axes, _ in model.design.grid for i in (1, 2)]
-right.barh(names, h_29[0], color=thread.color)
-right.invert_yaxis()
-right.set(title="$h$ of anchor 29", xlim=(-1.1, 1.1))
-figures.show(figure, "09_hash_grid")
+panels.signs_of_grid(model, x_29, values[:, 2].reshape(161, 161), h_29)
 
 # %% [markdown]
 # ## Backward by hand
