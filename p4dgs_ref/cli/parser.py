@@ -207,7 +207,7 @@ GROUPS = {
                 option(
                     "--distance",
                     type=number_in_range(float, 1e-3, 1e6),
-                    help="distance from the anchors (default 3.6), with a field of view of 41 degrees",
+                    help="from the anchors (default 3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",

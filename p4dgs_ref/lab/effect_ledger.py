@@ -165,7 +165,7 @@ def draw_ledger(path, ledger):
                 color="black" if row["listed"] else "#606060",
             )
         ax.set_title(title, loc="left", fontweight="bold")
-        ax.set(xticks=[], xmargin=0.8)
+        ax.set(xticks=[], xlim=(0, 1.8 * max(1, *(row[kind] for row in ledger["effects"]))))
         ax.invert_yaxis()
         ax.spines[["top", "right", "bottom"]].set_visible(False)
     lines = [fill(line, 52) for line in (*answer(ledger), "not listed: 0 (in brackets: if listed)")]
