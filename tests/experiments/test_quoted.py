@@ -91,7 +91,9 @@ def test_tables_of_lengths_and_effects_are_those_of_the_records():
 def test_the_first_page_shows_table_3_beside_the_papers():
     page = (PAGE.parents[2] / "README.md").read_text(encoding="utf-8")
     rows = [row for row in read_csv(RECORDS / "ablate.csv", TEXTS) if row["scene"] == "bouncing"]
-    sizes = {row["label"]: row["bytes"] for row in means(rows, "label")}
+    ours = {row["label"]: row for row in means(rows, "label")}
     for label, papers in ablate.PAPER.items():
-        theirs = f"{float(papers.split()[0]):.3g} MB"
-        assert f"| {label} | {theirs} | {sizes[label]:,.0f} bytes |" in page, label
+        size, quality = papers.split()[:2]
+        here = "{bytes:,.0f} bytes | {psnr_db:.2f} dB | {gaussians:.0f}".format_map(ours[label])
+        line = f"| {label} | {float(size):.3g} MB | {quality} dB | {here} |"
+        assert line in page, f"README.md lacks the row {line}"

@@ -3,7 +3,7 @@
 Every step is trained, written to a file, read back and measured:
 
     D3DGS                         explicit Gaussians and their authors' network; float32
-    + spatial prediction          anchors, not Gaussians, psi_d of eight layers of 256; float32
+    + spatial prediction          anchors, not Gaussians, moved by the same network; float32
     + compact deformation MLP     psi_d of two layers of 64, in float16
     + quantisation and entropy coding        the paper's whole method and its file
 
@@ -29,11 +29,12 @@ from .methods import PAPERS, columns, preset_of, save, task_of
 from .writer import means, seeds_of, with_error
 
 ITERATIONS = 6500
+SPATIAL = "+ spatial prediction"
 NETWORK, WHOLE = "+ compact deformation MLP", "+ quantisation and entropy coding"
 # The paper's Table 3, on T-Rex: MB, PSNR, and what a step changes of them, in percent and dB.
 PAPER = {
     "D3DGS": "56.70 38.04",
-    "+ spatial prediction": "7.27 38.36 -87.1 +0.32",
+    SPATIAL: "7.27 38.36 -87.1 +0.32",
     NETWORK: "5.39 38.34 -25.8 -0.02",
     WHOLE: "0.85 38.24 -84.1 -0.10",
 }
@@ -47,7 +48,7 @@ AUTHORS = d3dgs.Preset()
 # What each step changes of the preset of the paper's whole method; the last four leave out a part.
 STEPS = {
     "D3DGS": {},
-    "+ spatial prediction": {
+    SPATIAL: {
         **WITHOUT_RATE,
         "deformation": AUTHORS.deformation,
         "lr_d": AUTHORS.lr_d,
@@ -59,7 +60,6 @@ STEPS = {
     "no masking": {"mask_from": AFTER_LAST},
     "no deformation": {},
 }
-SPATIAL = "+ spatial prediction, {} anchors"  # the same step with the authors' network
 COLUMNS = {
     "step": "{label}",
     "bytes": "{bytes:,.0f}",
@@ -74,14 +74,14 @@ COLUMNS = {
 
 
 def plan(scene, seeds, iterations, anchors=None):
-    """The Tasks of all steps and seeds; with a number of anchors, those of D3DGS and SPATIAL."""
+    """The Tasks of all steps and seeds, or of D3DGS and SPATIAL with a number of anchors."""
     command = f"python -m tutorials.experiments.tables ablate {scene.name}"
     command += f" --seeds {seeds} --iterations {iterations}"
-    steps, spatial_name = STEPS, SPATIAL.format(anchors)
+    steps = STEPS
     if anchors:
         command += f" --anchors {anchors}"
-        changes = {**STEPS["+ spatial prediction"], "anchors": anchors}
-        steps = {"D3DGS": {}, spatial_name: changes}
+        changes = {**STEPS[SPATIAL], "anchors": anchors}
+        steps = {"D3DGS": {}, f"{SPATIAL}, {anchors} anchors": changes}
     at_rest = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
     tasks = []
     for seed in range(seeds):
@@ -90,7 +90,7 @@ def plan(scene, seeds, iterations, anchors=None):
             task = task_of(scene, method, seed, iterations, command, changes)._replace(name=name)
             if "stage_ends" in changes:
                 task = task._replace(make=make_plain, load=load_plain, ending="npy")
-            if name == spatial_name:
+            if name.startswith(SPATIAL):
                 task = task._replace(make=make_spatial, load=load_spatial)
             if name == "fixed step":
                 task = task._replace(make=make_without_psi_q)
