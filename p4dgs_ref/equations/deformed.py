@@ -4,8 +4,8 @@
 
 P-4DGS, section 3.2 (temporal prediction). The paper prints r + delta_r; the sum is brought back to
 unit length as in `rotation` (Q9), because `covariance` expects unit quaternions: from a sum of
-another length it makes a matrix R that is not a rotation. A delta [N, 0] belongs to an effect that the
-scene does not list: its attribute is returned as it is.
+another length it makes a matrix R that is not a rotation. A delta [N, 0] belongs to an effect that
+the scene does not list: its attribute is returned as it is.
 """
 
 from .numerics import normalise, normalise_backward
