@@ -46,7 +46,7 @@ OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 
 
 def world_to_camera(value, where):
-    """Return r and T from world to camera in OpenCV axes, from the matrix of a file."""
+    """Return R and T from world to camera in OpenCV axes, from the matrix of a file."""
     c2w = NUMBER(value, where, shape=(4, 4))
     require_field(
         np.allclose(c2w[3], (0, 0, 0, 1)),
