@@ -4,7 +4,6 @@ import multiprocessing
 import os
 import signal
 import threading
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
@@ -27,20 +26,6 @@ def end_with_parent():
     os._exit(1)
 
 
-def call_and_record(function, *arguments):
-    """Return the result of a call in a worker, and the warnings that it gave."""
-    with warnings.catch_warnings(record=True) as given:
-        result = function(*arguments)
-    return result, [one.message for one in given]
-
-
-def result_of(result, given):
-    """Return the result of a call in a worker; give its warnings again, in this process."""
-    for warning in given:
-        warnings.warn(warning, stacklevel=3)
-    return result
-
-
 def in_processes(function, tasks, jobs):
     """Yield function(task) for every task of a list, in their order, from `jobs` processes.
 
@@ -58,9 +43,9 @@ def in_processes(function, tasks, jobs):
     try:
         # A process whose parent is interrupted before it has read its task ends with a traceback.
         with deferred():
-            futures = [pool.submit(call_and_record, function, task) for task in tasks]
+            futures = [pool.submit(function, task) for task in tasks]
         for future in futures:
-            yield result_of(*future.result())
+            yield future.result()
     except BrokenProcessPool:
         raise ChildProcessError(
             "a worker process ended before its work was done: memory ran out, or a script starts "

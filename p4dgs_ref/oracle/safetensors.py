@@ -1,4 +1,4 @@
-"""Reads and writes safetensors files: the length of a header, the header in JSON, the numbers.
+"""Reads safetensors files: the length of a header, the header in JSON, the numbers.
 
 bytes 0 to 7     length n of the header, unsigned, little-endian
 n bytes          JSON {name: {"dtype": "F64", "shape": [5, 3], "data_offsets": [from, to]}},
@@ -9,7 +9,6 @@ the rest         the numbers, row by row, little-endian; offsets count from here
 
 import json
 import math
-import struct
 from typing import Any
 
 import numpy as np
@@ -36,24 +35,6 @@ NAMES = {np.dtype(code): name for name, code in DTYPES.items()}
 
 class TensorError(ValueError):
     """A file is invalid. The message is one line with the field and what was expected."""
-
-
-def dump(arrays, metadata=None):
-    """Return the bytes of a file.
-
-    Wide types come first, so that every tensor is aligned to its own width. Raises TensorError for
-    a type that is not in DTYPES.
-    """
-    header = {"__metadata__": metadata} if metadata else {}
-    parts, at = [], 0
-    for name in sorted(arrays, key=lambda name: -np.asarray(arrays[name]).dtype.itemsize):
-        record, data = record_of(np.asarray(arrays[name]))
-        header[name] = {**record, "data_offsets": [at, at + len(data)]}
-        parts.append(data)
-        at += len(data)
-    text = json.dumps(header, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 8)
-    return struct.pack("<Q", len(text)) + text + b"".join(parts)
 
 
 def record_of(array):

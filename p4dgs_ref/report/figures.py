@@ -8,9 +8,7 @@ import numpy as np
 
 from ..effects import moves
 from ..scenes.files import image_bytes
-from ..splatting import render
 from ..splatting.camera import look_at
-from ..splatting.settings import FAST
 from ..training.progress import COLUMNS
 from .evaluate import names_in_training
 
@@ -213,23 +211,6 @@ def write_size(folder, name, metrics):
         fontsize=14,
     )
     save_figure(figure, folder / "size.png")
-
-
-def heat_image(model, colors, camera, t, settings=FAST):
-    """Return the model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
-    g = model.gaussians(t, camera)
-    (image, *_), _ = render.forward(
-        g.x,
-        g.s,
-        g.r,
-        g.alpha,
-        colors[g.index // model.design.k],
-        camera,
-        np.ones(3),
-        settings,
-        "occlusion" in model.design.effects,
-    )
-    return image
 
 
 @figure_style()

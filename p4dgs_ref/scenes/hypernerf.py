@@ -114,7 +114,7 @@ def choose_pictures(folder, downscale):
     Smaller pictures are taken if the folder has them; pixels are averaged for the rest.
     """
     names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
-    ratios = [int(name) for name in names if name.isdecimal() and len(name) < 9]
+    ratios = [int(name) for name in names if name.isdecimal()]
     require_field(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)

@@ -17,7 +17,6 @@ import pytest
 import p4dgs_ref as p4
 from p4dgs_ref import limits
 from p4dgs_ref.__main__ import main
-from p4dgs_ref.cli import parser as cli
 from p4dgs_ref.cli.parser import parser
 from p4dgs_ref.output import PART, locked
 from p4dgs_ref.report import figures
@@ -151,39 +150,20 @@ def test_mistakes_in_scenes(place, refused, name, mistake, words):
 LINES = [
     ("", ("COMMAND",)),
     ("train scene -o new --preset smoke --points text", ("text", ".npy, .ply")),
-    ("train scene -o new --preset smoke --points points3D.txt", ("points3D.txt", ".npy, .ply")),
     ("fly", ("fly", "demo")),
     ("train scene", ("-o",)),
     ("demo --fast", ("--fast",)),
     ("demo nowhere -o new", ("nowhere", "bouncing")),
     ("demo text -o new", ("text", "folder")),
-    ("demo good.p4dgs", ("folder",)),
     ("demo --preset huge", ("huge", "tiny")),
-    ("presets huge", ("huge", "tiny")),
-    ("train scene -o new --preset huge", ("huge", "smoke")),
-    ("demo --seed two", ("--seed", "two", "whole number")),
-    ("train scene -o new --preset smoke --set lr_c=1e39,1e39", ("lr_c", "1e+39")),
     ("demo --seed -1", ("--seed", "-1")),
-    ("demo --seed 1.5", ("--seed",)),
     ("demo --set nonsense", ("'nonsense'", "presets")),
     ("demo --set anchor=3", ("'anchor'", "presets")),
-    ("demo --set anchors=many", ("'anchors'", "many")),
     ("demo --set anchors=-3", ("'anchors'", "from 1 to 1e+18")),
-    ("demo --set anchors=10000000", ("'anchors'", "at most 33554432 numbers")),
     ("train scene -o new --preset smoke --set anchors=10000000000000", ("'anchors'", "at most")),
-    (f"demo --set anchors={'9' * 4000}", ("'anchors'", "from 1 to 1e+18")),
     (f"demo --set anchors={'9' * 5000}", ("'anchors'", "like 200")),
-    (f"demo --set grow_every={10**400}", ("'grow_every'", "from 1 to 1e+18")),
-    (f"demo --set stage_ends=1,2,3,{10**400}", ("'stage_ends'",)),
     (f"demo --seed {'9' * 5000}", ("--seed", "whole number")),
-    ("demo --set hidden=16384,16384,16384", ("'hidden'", "at most 33554432 numbers")),
-    (
-        "demo --set F=64 --set grid_3d=300 --set table_3d=16777216",
-        ("'grid_3d'", "at most 33554432 numbers"),
-    ),
-    ("demo --set grow_depth=99999999", ("'grow_depth'", "0 to 16")),
     ("demo --set 'k=\x1b[31m'", ("'k'",)),
-    ("train 'a\nb' -o new", ("a b: no such folder",)),
     ("train 'a\x1b[31mb' -o new", ("a\\x1b[31mb", "no such folder")),
     ("encode 'a\nb\x1b[31m' -o new/x.p4dgs", ("a\\nb\\x1b[31m/checkpoint.npz",)),
     ("demo '--a\nb\x1b[31m'", ("unrecognized", "a\\nb\\x1b[31m")),
@@ -191,27 +171,13 @@ LINES = [
     ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
     ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
-    ("demo --set voxel=nan", ("'voxel'", "1e-09")),
-    ("demo --set stage_ends=9,5,3,1", ("'stage_ends'",)),
-    ("demo --set upright=perhaps", ("'upright'", "perhaps")),
-    ("demo --set grow=wild", ("'grow'", "wild")),
-    ("demo --set name=x", ("'name'",)),
-    ("demo --set lr_x=1", ("'lr_x'", "first,last")),
-    ("demo --set lambda_rate=nan", ("'lambda_rate'", "number from 0")),
-    ("demo --set lr_c=0.1,-1", ("'lr_c'", "rates")),
     ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
-    ("evaluate good.p4dgs scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
-    ("effects scene --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
-    ("demo scene --downscale 9 -o new", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
-    ("train scene -o new --downscale half", ("--downscale", "half")),
-    ("demo scene -o text --preset smoke --quiet", ("text", "folder that can be written")),
     ("demo scene -o text/out --preset smoke --quiet", ("text/out", "folder that can be written")),
     (
         "demo scene -o /proc/out/deep --preset smoke --quiet",
         ("/proc/out/deep", "folder that can be written"),
     ),
-    ("train scene -o text/run --preset smoke --quiet", ("text/run", "folder that can be written")),
     ("train scene -o run --preset smoke", ("checkpoint.npz", "--resume")),
     ("train scene -o new --preset smoke --resume", ("new/checkpoint.npz", "No such file")),
     ("train scene -o run --preset tiny --resume", ("checkpoint.npz", "'preset.name'")),
@@ -256,16 +222,13 @@ LINES = [
     ("decode good.p4dgs -o text", ("text", "folder that can be written")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
-    ("render good.p4dgs -o new --size 5000", ("--size", "4096")),
     ("render good.p4dgs -o new --frames 0", ("--frames", "1 ... 10000")),
     ("render good.p4dgs -o new --scene nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --distance nan", ("--distance", "nan")),
-    ("render good.p4dgs -o new --azimuth inf", ("--azimuth", "inf")),
-    ("render good.p4dgs -o new --distance 0", ("--distance",)),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
     *(
         (f"render good.p4dgs -o new --scene scene --{name} 4", (f"--{name}: expected without",))
-        for name in ("azimuth", "elevation", "distance", "size", "frames")
+        for name in ("azimuth", "frames")
     ),
     (
         "render good.p4dgs -o new --scene scene --size 4 --frames 2",
@@ -273,9 +236,7 @@ LINES = [
     ),
     ("render good.p4dgs -o new --downscale 4", ("--downscale: expected together with --scene",)),
     ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
-    ("render good.p4dgs -o scene/test --scene scene", ("scene/test: ", "an empty folder")),
     ("render scene.ply -o new", ("scene.ply: ", "container")),
-    ("simulate nowhere.json -o new", ("nowhere.json",)),
     ("simulate text -o new", ("text", "JSON")),
     (
         "simulate scene/transforms_train.json -o new",
@@ -290,11 +251,7 @@ LINES = [
     ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: this is the input",)),
     ("effects static --suggest --apply", ("packaged",)),
     ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
-    ("train scene -o run --preset smoke", ("run/checkpoint.npz: exists", "--resume")),
     ("demo scene -o report --preset smoke", ("report/metrics.json: exists", "another")),
-    ("demo bouncing -o report --preset smoke", ("report/metrics.json: exists", "another")),
-    ("view good.p4dgs -o ./good.p4dgs", ("good.p4dgs", "the input")),
-    ("stability --only H-R", ("--only H-R", "H-R1")),
 ]
 
 
@@ -576,13 +533,3 @@ def test_names_reach_the_terminal_without_their_control_characters(place, run, l
     code, out, err = run(line)
     assert code == 0 and out and (out + err).replace("\n", "").isprintable()
     assert line.startswith("evaluate") or "r\\x1b[2J" in out
-
-
-def test_a_command_whose_room_is_missing_is_one_line(monkeypatch, capsys):
-    def missing(name, package):
-        raise ModuleNotFoundError(name="p4dgs_ref.lab")
-
-    monkeypatch.setattr(cli, "import_module", missing)
-    assert cli.run(["stability"], 0.0) == 2
-    said = "p4dgs-ref: stability: p4dgs_ref.lab is not in this installation\n"
-    assert capsys.readouterr().err == said

@@ -151,12 +151,9 @@ def test_lanes_are_chosen_by_the_length_of_the_message():
     "n, p",
     [
         (0, 0.5),
-        (1, 0),
         (1, 1),
-        (2, 0.5),
         (4000, 0),
         (4000, 1),
-        (4000, 0.5),
         (4001, 0.97),
         (100_000, 1e-4),
         *few([(200_000, 0.999), (1_000_000, 0.5), (1_000_000, 0.999)], 1),
@@ -225,14 +222,11 @@ def test_every_truncation_and_every_extension_is_refused(message):
     "head, why",
     [
         ("0b 00000000 00000080", "lane byte"),
-        ("10 00000080", "lane byte"),
         ("0f", "end before the first"),
         ("00 00000000", "state 0"),
         ("00 ffffff7f", "state 2147483647"),
-        ("80 00000080 00000000", "state 2147483648"),
         ("80 00000000 00000080", "state 9223372036854775808"),
         ("02 ffffffff 00000080", "a tail of 4294967295"),
-        ("02 04080000 00000080", "a tail of 2052"),
         ("02 01000000 00000080", "a tail of 1 of 2048"),
         ("02 00000000 00000080", "a tail of 0 of 2048"),  # lanes start from the words of the tail
     ],

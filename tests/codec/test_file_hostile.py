@@ -65,19 +65,12 @@ def test_a_scene_without_motion_may_not_have_the_section_for_it(sections):
         refused(forged, "deformation_mlp", "no effect that needs")
 
 
-@pytest.mark.parametrize("data", [np.zeros(99, np.uint8), "text", None, 3])
-def test_what_is_no_bytes_is_refused(data):
-    assert "expected the bytes of a file" in refusal(decode, data).message
-
-
 def test_other_counts_do_not_fit_the_sections(sections):
     anchors = json.loads(sections["header"])["anchors"]
     for name, value, where in (
         ("anchors", anchors + 1, "positions"),
-        ("k", 3, "anchor_mlps"),
         ("d", 5, "anchor_mlps"),
         ("F", 2, "context_mlps"),
-        ("hidden", [8], "anchor_mlps"),
         ("L_x", 3, "deformation_mlp"),
         ("L_t", 1, "deformation_mlp"),
         ("effects", ["rotation"], "anchor_mlps"),
@@ -89,33 +82,26 @@ def test_other_counts_do_not_fit_the_sections(sections):
 
 
 # Values that no field of their kind may have.
-NO_INTEGERS = [0, -1, 1.0, True, "4", None, [4], 10**400, float("nan")]
-NO_WIDTHS = [4, "xyz", None, {}, [0], [True], [[8]], [1.5], [None], [2**15], [8] * 9]
+NO_INTEGERS = [0, 1.0, True, "4", 10**400]
+NO_WIDTHS = [4, {}, [0], [True], [2**15], [8] * 9]
 NO_GRIDS = [
     *NO_WIDTHS,
     [],
-    [["xyz"]],
     [["xyz", 8, 8]],
     [["zyx", 8]],
     [[8, "xyz"]],
-    [["xy", 0]],
     [[["xy"], 8]],
     [["xy", 2**16 + 1]],
-    [["xy", True]],
     [["xy", 8]] * 65,
-    {"xy": 8},
 ]
 NO_STEPS = [
     1,
-    None,
-    [],
     [1] * 3,
-    [1] * 5,
-    *([1, 1, 1, v] for v in (0, -1, True, 1e31, 1e-31, 10**400, float("nan"))),
+    *([1, 1, 1, v] for v in (0, True, 1e31, 10**400, float("nan"))),
 ]
-NO_OPACITIES = [None, True, "0", [0], 1.5, -(2.0**-1074), 10**400, float("inf"), float("nan")]
-NO_COLORS = [None, [], [1] * 4, [1, 1, "1"], [1, 1, float("-inf")], [1, 1, 1e30], "rgb"]
-NO_EFFECTS = [None, "view_color", ["wind"], [["rotation"]], [True], [{}], ["occlusion"] * 2]
+NO_OPACITIES = [True, "0", 1.5, -(2.0**-1074), float("nan")]
+NO_COLORS = [None, [1] * 4, [1, 1, "1"], [1, 1, float("-inf")]]
+NO_EFFECTS = ["view_color", ["wind"], [["rotation"]], ["occlusion"] * 2]
 NONSENSE = {
     **{name: [*NO_INTEGERS, most + 1] for name, most in {"anchors": 2**22, **MAX_OF}.items()},
     "hidden": NO_WIDTHS,
@@ -141,17 +127,13 @@ def test_headers_that_are_not_such_an_object(sections):
     header = sections["header"]
     for bad in (
         b"[]",
-        b"null",
-        b"{}",
         json.dumps([[name, value] for name, value in json.loads(header).items()]).encode(),
         b"\xef\xbb\xbf" + header,
         header + b"x",
         header[:-1] + b',"more":1}',
         b"[" * 10**5,
-        b'{"anchors":' * 10**5,
         header.replace(b'"d":', b'"\xe9":'),
         header.replace(b'"d":4', b'"d":' + b"4" * 5000),
-        header[:-1] + b',"d":4}',
         header.replace(b'"k":2', b'"k":2,"k":2'),
         header.decode().encode("utf-16"),
     ):
@@ -163,8 +145,7 @@ def test_headers_that_are_not_such_an_object(sections):
 def test_weights_that_are_not_finite_are_refused_by_their_place(sections, name):
     body = sections[name]
     for at in (0, 14, len(body) - 2):
-        # both infinities, then quiet and signalling NaN
-        for pattern in (0x7C00, 0xFC00, 0x7E00, 0x7C01, 0xFDFF):
+        for pattern in (0x7C00, 0xFC00, 0x7E00):  # both infinities, NaN
             spoilt = body[:at] + pattern.to_bytes(2, "little") + body[at + 2 :]
             refused({**sections, name: spoilt}, name, "expected finite weights")
             assert refusal(decode, write_container({**sections, name: spoilt})).offset == at
@@ -173,8 +154,7 @@ def test_weights_that_are_not_finite_are_refused_by_their_place(sections, name):
 def test_invalid_boxes_are_refused(sections):
     body = sections["positions"]
     lo, hi = body[:12], body[12:24]
-    # both infinities, quiet and signalling NaN, 1.7e38
-    patterns = (0x7F800000, 0xFF800000, 0x7FC00000, 0x7FA00000, 0x7F000000)
+    patterns = (0x7F800000, 0x7FC00000, 0x7F000000)  # infinity, NaN, 1.7e38
     numbers = [np.array(pattern, "<u4").tobytes() for pattern in patterns]
     low, high = [lo[:4] + v + lo[8:] + hi for v in numbers], [lo + hi[:8] + v for v in numbers]
     for box in (hi + lo, *low, *high):
@@ -203,7 +183,7 @@ def test_the_largest_weights_keep_the_context_finite():
 
 
 @pytest.mark.parametrize("name", ["psi_alpha", "psi_p", "psi_d"])
-@pytest.mark.parametrize("value", [65520.0, -1e6, np.inf, np.nan])
+@pytest.mark.parametrize("value", [65520.0, np.nan])
 def test_weights_beyond_float16_name_the_network(model, name, value):
     weights, biases = model.networks[name]
     for spoilt in (
@@ -219,7 +199,7 @@ def test_weights_beyond_float16_name_the_network(model, name, value):
 
 
 @pytest.mark.parametrize("name", ["x_a", "f_a", "s_a", "l_a", "O_a"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("value", [np.nan, -np.inf])
 def test_numbers_that_are_not_finite_name_the_array(model, name, value):
     array = getattr(model.anchors, name).copy()
     array[np.flatnonzero(model.anchors.mask.all(axis=1))[0]] = value
@@ -265,12 +245,9 @@ def test_huge_symbols_name_the_array(model, name, group):
     "field, value, message",
     [
         ("tau_alpha", 2.0, "'tau_alpha': expected a number from 0"),
-        ("tau_alpha", np.nan, "expected a number from 0"),
         ("effects", ("view_color", "wind"), "'effects': expected some of"),
         ("grid", (), "expected a list of 1 to 64"),
         ("Q_0", (1.0, 0.0, 1.0, 1.0), "'Q_0': expected a number from"),
-        ("L_x", 0, "expected a whole number from 1 to 64"),
-        ("context", (8,) * 9, "'context': expected a list of 0 to 8"),
     ],
 )
 def test_designs_beyond_the_header_are_not_written(model, field, value, message):

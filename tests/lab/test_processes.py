@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import time
-import warnings
 
 import pytest
 
@@ -20,18 +19,6 @@ def place(seconds):
 
 def explode(task):
     raise NotFinite(f"iteration {task}: f_a[3, 1] is nan")
-
-
-def mutter(task):
-    warnings.warn(f"task {task} is poor", stacklevel=1)
-    return task
-
-
-@pytest.mark.slow
-def test_warnings_of_workers_are_given_by_this_process():
-    with pytest.warns(UserWarning, match="is poor") as given:
-        assert list(in_processes(mutter, [1, 2], 2)) == [1, 2]
-    assert [str(one.message) for one in given] == ["task 1 is poor", "task 2 is poor"]
 
 
 UNGUARDED = """

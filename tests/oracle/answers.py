@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 
-from p4dgs_ref.oracle import published, safetensors
+from p4dgs_ref.oracle import published
 from p4dgs_ref.oracle.compare import cast, expected_tensors
+from tests.workshop import writer
 from tests.workshop.subjects import subjects
 
 
@@ -52,7 +53,7 @@ def broken(key, name, change):
 def write(folder, **answers):
     """Write {tensor: array} of subjects into a folder, and return it."""
     for key, arrays in answers.items():
-        (folder / f"{key}.safetensors").write_bytes(safetensors.dump(arrays))
+        (folder / f"{key}.safetensors").write_bytes(writer.dump(arrays))
     return folder
 
 

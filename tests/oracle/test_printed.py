@@ -11,7 +11,6 @@ from p4dgs_ref.oracle import checker, published
 from p4dgs_ref.oracle import compare as scales
 from p4dgs_ref.oracle.compare import expected_tensors
 from tests.oracle.answers import case_of, in_precision, write
-from tests.sampling import few
 from tests.workshop import vectors
 
 PRECISIONS = (np.float64, np.float32)
@@ -126,42 +125,6 @@ def test_what_float32_culls_is_zero_in_all_tensors_or_wrong(name):
 
 
 # --- the data -----------------------------------------------------------------------------------
-def test_only_subjects_with_a_recipe_have_wider_scales():
-    cases = {id for id, _ in scales.printed_arrays()}
-    assert {id.split("/")[0] for id in cases} <= set(scales.RECIPES)
-    for id, precision in scales.printed_arrays():
-        case = case_of(id)
-        wide = scales.printed_form(case, in_precision(expected_tensors(case.tensors), precision))[
-            0
-        ].tensors
-        for name, S in case.tensors.items():
-            if name.startswith("scale."):
-                assert wide[name].shape == S.shape and (wide[name] >= S).all()
 
 
 # --- tensors that are wrong, or not asked --------------------------------------------------------
-# What is not checked in float32, of cases of version 1.0 that are checked in it; None is all.
-NOT_ASKED = {
-    "projection/H-G3.1e4px": ["out.conic", "in_bar.Sigma"],
-    "projection/H-G3.1e3px": ["out.conic", "in_bar.Sigma"],
-    "projection/H-G3.100px": ["out.conic", "in_bar.Sigma"],
-    "projection/H-G4.scale1e30": ["out.conic", "in_bar.x"],
-    "ssim/flat": ["in_bar.image"],
-    "render_loss/H-P7.nearly_equal": ["out.L_render", "out.L1", "out.D_SSIM"],
-    "hash_grid/H-P5.hashed_upper_face": ["in_bar.grids.1"],
-    "likelihood/H-R5.width1000": None,
-    "likelihood/H-R5.width1e+06": None,
-    "kernel_many/sorting": ["out.image", "in_bar.background"],
-    "training_steps/growing": ["out.gradient.3"],
-    "training/growing": ["out.gradient"],
-}
-
-
-@pytest.mark.parametrize("key", few(published.subjects(), 12))
-def test_what_is_not_asked_in_float32(key):
-    for case in published.cases(key):
-        assert not case.not_judged("float64")
-        if "since" not in case.record and case.tolerance("float32"):
-            every = list(expected_tensors(case.tensors))
-            listed = NOT_ASKED.get(case.id, [])
-            assert case.not_judged("float32") == (every if listed is None else listed), case.id

@@ -15,7 +15,7 @@ from p4dgs_ref.oracle import checker, safetensors, streams
 from p4dgs_ref.oracle.adapter import Adapter, pack
 from p4dgs_ref.oracle.ports import FolderPort, PortError
 from tests.sampling import few
-from tests.workshop import decoded
+from tests.workshop import decoded, writer
 from tests.workshop.decoded import write_answers
 from tests.workshop.mistakes import MISTAKES
 from tests.workshop.mistakes.__main__ import answers
@@ -70,7 +70,7 @@ def change(folder, name, **arrays):
     """Replace arrays of one answer; None takes one away."""
     path = folder / "codec" / f"{name}.safetensors"
     kept = {**safetensors.load(path.read_bytes()), **arrays}
-    path.write_bytes(safetensors.dump({n: a for n, a in kept.items() if a is not None}))
+    path.write_bytes(writer.dump({n: a for n, a in kept.items() if a is not None}))
 
 
 def read(folder, name):

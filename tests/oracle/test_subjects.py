@@ -6,22 +6,10 @@ these subjects, because `test_published.py` compares their code with it.
 
 import numpy as np
 
-from p4dgs_ref import EQUATIONS
 from p4dgs_ref.splatting.settings import EXACT
 from tests.workshop import pipeline
-from tests.workshop.cases import FLAGS
 from tests.workshop.flat import camera_of
 from tests.workshop.subjects import subjects
-
-ROWS = [subject for subject in subjects().values() if subject.level != "L1"]
-
-
-def test_every_subject_blames_an_equation_and_none_has_the_key_of_one():
-    for subject in ROWS:
-        assert subject.key not in EQUATIONS and subject.equation in EQUATIONS
-        cases = list(subject.cases())
-        names = {case.name for case in cases}
-        assert len(names) == len(cases) and all(set(case.flags) <= set(FLAGS) for case in cases)
 
 
 def test_frames_are_those_of_the_decoded_model():

@@ -61,7 +61,6 @@ STARTS = {
         None,
         np.array([EYES[0], (0.3, 0, 0), (0, 0.3, 0), (0, 0, 0.3)]),
     ),
-    "all_opaque": (scene(), {}, bias("psi_alpha", 20.0), None),
     "all_transparent": (scene(), {}, bias("psi_alpha", -20.0), None),
     "all_masked": (scene(), {}, masked, None),
     "one_anchor": (scene(), {}, None, np.zeros((1, 3))),
@@ -71,20 +70,13 @@ STARTS = {
         put("x_a", 0.25),
         np.random.default_rng(0).uniform(-1, 1, (1000, 3)),
     ),
-    "a_row_of_anchors": (scene(), {}, None, np.linspace(-1, 1, 12)[:, None] * [[0.0, 0, 1]]),
     "zero_scales": (scene(), {}, put("log_s", -60.0), None),
     "huge_scales": (scene(), {}, put("log_s", 12.0), None),
-    "zero_reach": (scene(), {}, put("log_l", -60.0), None),
-    "far_away": (scene(), {}, put("x_a", np.array([0.0, 0, 1e5])), None),
     "behind_every_camera": (scene(), {}, put("x_a", np.array([0.0, -900, 0])), None),
     "lambda_rate_0": (scene(), dict(lambda_rate=0.0), None, None),
-    "lambda_rate_10": (scene(), dict(lambda_rate=10.0), None, None),
     "single_frame": (scene(times=(0.0,)), {}, None, None),
-    "one_pixel": (scene(size=(1, 1)), {}, None, None),
     "black": (painted(0.0), {}, None, None),
-    "white": (painted(1.0), {}, None, None),
     "no_quaternion": (scene(), dict(upright=False), bias("psi_r", 0.0), None),
-    "saturated_colors": (scene(), {}, bias("psi_c", 60.0), None),
 }
 
 

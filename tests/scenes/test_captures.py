@@ -159,7 +159,6 @@ CAPTURE = "transforms.json"
         ([CAPTURE], [TEST]),
         ([TRAIN], []),
         ([TRAIN], [CAPTURE]),
-        ([TEST], []),
         ([VAL], []),
         ([TRAIN, VAL], []),
         ([TRAIN, TEST], [VAL, CAPTURE]),
@@ -302,7 +301,6 @@ BROWN = np.broadcast_to([0.9, 0.4, 0.2], (HEIGHT, WIDTH, 3))
         (BROWN * GRADIENT, GRADIENT, True),
         (BROWN * 0.1 * GRADIENT, GRADIENT, True),
         (BROWN * 0.1, GRADIENT, False),  # a dark object
-        (BROWN * 0, GRADIENT, False),
         (BROWN * 0.1, np.ones_like(GRADIENT), False),
     ],
 )

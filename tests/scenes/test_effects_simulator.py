@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from p4dgs_ref.effects import MOTION
-from p4dgs_ref.scenes import SIMULATOR_EFFECTS
 from p4dgs_ref.scenes.simulator import bodies, place_cameras, trace
 from p4dgs_ref.scenes.simulator.description import read_description
 from tests.sampling import few
@@ -25,7 +24,6 @@ CODE = {
     "translation": [(bodies.MOTIONS, kind) for kind in ("line", "bounce", "arc")],
     "rotation": [(bodies.MOTIONS, kind) for kind in ("swing", "spin")],
     "scaling": [(bodies.MOTIONS, "pulse")],
-    "view_geometry": [(bodies, "rotation_to_viewer")],
     "occlusion": [(trace, "nearest")],
     "texture": [(bodies.TEXTURES, kind) for kind in ("checker", "stripes")],
     "diffuse": [(trace, "diffuse")],
@@ -47,16 +45,9 @@ def with_neutral_input(data, effect):
             body["texture"] = {**body["texture"], "color": body["color"]}
         elif effect == "specular" and "specular" in body:
             body["specular"] = {**body["specular"], "strength": 0}
-        elif effect == "view_geometry":
-            body["faces_camera"] = False
         changed.append(body)
     light = {**data["light"], "ambient": 1} if effect == "diffuse" else data["light"]
     return {**data, "bodies": changed, "light": light}
-
-
-def facing_bodies(data):
-    """The description with a first body that faces the camera, which no packaged scene has."""
-    return {**data, "bodies": [{**data["bodies"][0], "faces_camera": True}, *data["bodies"][1:]]}
 
 
 def drawn(data, t=0.37, view=4):
@@ -65,22 +56,18 @@ def drawn(data, t=0.37, view=4):
     return trace.trace(description, small_camera(camera, 14), t)
 
 
-NEUTRAL = [e for e in SIMULATOR_EFFECTS if e not in ("view_color", "occlusion", "background")]
+NEUTRAL = (*MOTION, "texture", "diffuse", "specular")
 
 
 @pytest.mark.parametrize("name, effect", few(product(SCENES, NEUTRAL), 8))
 def test_simulator_off_equals_the_neutral_input(name, effect):
     some = [e for e in simulated_effects(name) if e != effect]
-    off, data = (
-        drawn(facing_bodies(described(name, some))),
-        facing_bodies(described(name, [*some, effect])),
-    )
+    off, data = drawn(described(name, some)), described(name, [*some, effect])
     on = drawn(with_neutral_input(data, effect))
     assert np.abs(off - on).max() <= 4 * EPS
     uses = {
         "texture": any("texture" in b for b in data["bodies"]),
         "diffuse": True,
-        "view_geometry": True,
         "specular": any("specular" in b for b in data["bodies"]),
         **{
             e: any(
@@ -123,12 +110,12 @@ def test_simulator_does_not_call_what_is_off(name, effect, monkeypatch):
         else:
             monkeypatch.setattr(place, key, noted(getattr(place, key)))
     some = [e for e in simulated_effects(name) if e != effect]
-    drawn(facing_bodies(described(name, some)))
+    drawn(described(name, some))
     assert not calls
-    drawn(facing_bodies(described(name, [*some, effect])))
+    drawn(described(name, [*some, effect]))
     assert bool(calls) == (
         effect in simulated_effects(name)
-        or effect in ("diffuse", "view_geometry")
+        or effect == "diffuse"
         or effect == "specular"
         and name in ("bouncing", "orbit", "glossy")
     )

@@ -12,7 +12,6 @@ from p4dgs_ref.scenes import load_scene
 from p4dgs_ref.scenes.load import read_points_for
 from p4dgs_ref.training.presets import choose
 from p4dgs_ref.training.trainer import Trainer
-from tests.sampling import few
 from tests.scenes.refusals import refuse
 
 WIDTH, HEIGHT = 16, 12
@@ -136,8 +135,6 @@ def test_which_pictures_are_read(folder):
 
 
 DISTORTED = {
-    "radial": {"radial_distortion": [-0.3, 0.2, 0.1]},
-    "tangential": {"tangential_distortion": [0.04, -0.03]},
     "old name": {"tangential_distortion": None, "tangential": [0.04, -0.03]},
     "all": {
         "radial_distortion": [0.2, -0.1, 0.3],
@@ -197,27 +194,6 @@ def test_scenes_without_time_id_count_times_by_warp_id(folder):
     assert {view.time for view in load_scene(folder).train} == {0}
 
 
-def test_time_id_alone_is_enough(folder):
-    write(folder / "metadata.json", {name: {"time_id": i} for i, name in enumerate(LEFT + RIGHT)})
-    assert [view.time for view in load_scene(folder).train] == [0, 1 / 7, 2 / 7, 3 / 7]
-
-
-def test_photographs_are_found_by_any_ending(folder):
-    for name, ending in zip(LEFT, (".jpg", ".JPG", ".jpeg", ".PNG")):
-        file = folder / f"rgb/1x/{name}.png"
-        pixels = iio.imread(file)
-        file.unlink()
-        iio.imwrite(file.with_suffix(ending), pixels // 8 * 0 + 77)
-    for view in load_scene(folder).train:
-        np.testing.assert_allclose(view.image, 77 / 255, atol=2 / 255)
-
-
-def test_sides_that_downscale_does_not_divide(folder):
-    view = load_scene(folder, downscale=5).train[1]
-    assert view.image.shape == (HEIGHT // 5, WIDTH // 5, 3)
-    assert (view.camera.c_x, view.camera.c_y) == (7 / 5 - 0.5, 6.5 / 5 - 0.5)
-
-
 def test_points_of_colmap_are_named_where_points_are_missing(folder):
     (folder / "points.npy").unlink()
     refuse(("points.npy: missing", "model_converter"), load_scene, folder)
@@ -244,48 +220,30 @@ def test_anchors_start_from_the_points(folder, tmp_path):
 VIEW = f"camera/{LEFT[1]}.json"
 MISTAKES = [
     ("scene.json", {"scale": None}, ("scene.json: scale", "one number")),
-    ("scene.json", {"scale": 0}, ("scene.json: scale", "1e-09")),
     ("scene.json", {"scale": 1e8}, ("scene.json: scale", "camera or point beyond 1e+06")),
     ("scene.json", {"center": [0, 0, math.nan]}, ("scene.json: center", "shape [3]")),
-    ("scene.json", {"effects": ["wind"]}, ("scene.json: effects", "wind")),
     ("dataset.json", {"train_ids": "all"}, ("dataset.json: train_ids", "a list")),
-    ("dataset.json", {"val_ids": [3]}, ("dataset.json: val_ids[0]", "a text")),
     (
         "dataset.json",
         {"val_ids": ["../bell"]},
         ("metadata.json: ../bell", "missing; expected a dict"),
     ),
-    ("dataset.json", {"val_ids": ["a\nb"]}, ("dataset.json: val_ids[0]", "control characters")),
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
     ("dataset.json", {"train_ids": [*LEFT, LEFT[0]]}, ("train_ids", "each of them once")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
     ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
-    ("metadata.json", {LEFT[1]: None}, (f"metadata.json: {LEFT[1]}", "missing; expected a dict")),
     ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.time_id: missing", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": -1}}, (f"{LEFT[1]}.time_id", "-1", "[0, ")),
-    ("metadata.json", {LEFT[1]: {"time_id": 0.5}}, (f"{LEFT[1]}.time_id", "integer")),
-    ("metadata.json", {LEFT[1]: {"time_id": True}}, (f"{LEFT[1]}.time_id", "integer")),
-    (VIEW, {"orientation": None}, (f"{VIEW}: orientation: missing", "shape [3, 3]")),
     (VIEW, {"orientation": (2 * np.eye(3)).tolist()}, (f"{VIEW}: orientation", "rotation")),
-    (
-        VIEW,
-        {"orientation": np.diag([1, 1, -1]).tolist()},
-        (f"{VIEW}: orientation", "determinant -1"),
-    ),
     (VIEW, {"position": [1, 2]}, (f"{VIEW}: position", "shape [3]")),
-    (VIEW, {"position": [1, 2, 1e8]}, ("scene.json: scale", "camera or point beyond 1e+06")),
     (VIEW, {"focal_length": -5}, (f"{VIEW}: focal_length", "one number in [1e-09")),
-    (VIEW, {"principal_point": 3}, (f"{VIEW}: principal_point", "shape [2]")),
     (VIEW, {"skew": 0.1}, (f"{VIEW}: skew", "[0, 0]")),
-    (VIEW, {"pixel_aspect_ratio": 0}, (f"{VIEW}: pixel_aspect_ratio", "1e-09")),
-    (VIEW, {"radial_distortion": [1, 2]}, (f"{VIEW}: radial_distortion", "shape [3]")),
     (VIEW, {"tangential_distortion": [1]}, (f"{VIEW}: tangential_distortion", "shape [2]")),
-    (VIEW, {"image_size": [0, 0]}, (f"{VIEW}: image_size", "shape [2]")),
     (VIEW, {"image_size": [17, 12]}, (f"rgb/1x/{LEFT[1]}", "16x12", "1/1 of image_size")),
 ]
 
 
-@pytest.mark.parametrize("file, fields, words", few(MISTAKES, 12))
+@pytest.mark.parametrize("file, fields, words", MISTAKES)
 def test_mistakes_in_a_file(folder, file, fields, words):
     edit(folder / file, **fields)
     refuse(words, load_scene, folder)
@@ -306,13 +264,6 @@ MISSING = [
 def test_files_that_are_missing(folder, name, words):
     shutil.move(folder / name, folder.parent)
     refuse(words, load_scene, folder)
-
-
-def test_a_folder_of_pictures_whose_number_is_absurd_is_none(folder):
-    for smaller in ("2x", "4x"):
-        shutil.rmtree(folder / "rgb" / smaller, ignore_errors=True)
-    (folder / "rgb" / "1x").rename(folder / "rgb" / f"{'1' * 200}x")
-    refuse(("rgb: no pictures", "1x"), load_scene, folder)
 
 
 def test_mistakes_in_the_folder(folder):

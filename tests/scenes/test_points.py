@@ -65,27 +65,19 @@ def header(old="", new=""):
     [
         ("missing.ply", None, ["missing; expected points"]),
         ("points.obj", b"", [".npy, .ply"]),
-        ("empty.ply", b"", ["ply"]),
-        ("cut.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n", ["end_header"]),
         ("faces.ply", header("vertex 4", "corner 4"), ["'vertex' first", "element corner 4"]),
-        ("none.ply", b"ply\nformat binary_little_endian 1.0\nend_header\n", ["vertex"]),
         ("flat.ply", header("property float y\n") + bytes(36), ["y"]),
         (
             "list.ply",
             header("uchar red", "list uchar int red"),
             ["format binary", "and properties of one"],
         ),
-        ("short.ply", header("uchar red", "red"), ["and properties of one"]),
         (
             "ascii.ply",
             header("binary_little_endian", "ascii"),
             ["format ascii 1.0", "expected a .ply in binary_little_endian"],
         ),
-        ("big.ply", header("little", "big") + binary(), ["binary_big", "binary_little_endian"]),
-        ("noformat.ply", header("format binary_little_endian 1.0\n"), ["binary_little_endian"]),
-        ("half.ply", header() + b"7", ["read"]),
         ("long.ply", header("\nelement", "\ncomment" + "a" * 2**14 + "\nelement"), ["end_header"]),
-        ("kind.ply", header("uchar red", "a" * 10**4 + " red"), ["aaa", "a binary .ply"]),
         (
             "count.ply",
             header("vertex 4", f"vertex {10**30}"),
@@ -106,14 +98,10 @@ def test_other_files_are_refused_in_one_line(name, content, words, tmp_path):
     "array, words",
     [
         (np.zeros((4, 2)), "[A, 3]"),
-        (np.zeros((0, 3)), "[A, 3]"),
         (np.zeros((4, 3), complex), "finite"),
-        (np.full((4, 3), "a"), "finite"),
         (np.full((4, 3), np.inf), "finite"),
-        (np.full((4, 3), 1e300), "at most 1e+06"),
         (np.full((4, 3), np.longdouble(2) ** 2000), "at most 1e+06"),
         (np.broadcast_to(np.int8(0), (2**22 + 1, 3)), "1 to 4194304 points"),
-        (np.array([None]), "points in a .npy"),
     ],
 )
 def test_other_arrays_are_refused(array, words, tmp_path):

@@ -195,7 +195,6 @@ def with_entry(i, j, value):
 
 MISTAKES = [
     ("no frames", lambda d: d.pop("frames"), ("frames", "list")),
-    ("empty split", in_file(frames=[]), ("frames", "at least one")),
     ("frame of text", lambda d: d["frames"].insert(1, "r_001"), ("frames[1]", "a dict")),
     (
         "no file_path",
@@ -207,30 +206,13 @@ MISTAKES = [
         in_frame(file_path="./train/r_9"),
         ("frames[1].file_path", "r_9.png"),
     ),
-    (
-        "absent picture with its suffix",
-        in_frame(file_path="./train/r_9.jpg"),
-        ("frames[1].file_path: no picture './train/r_9.jpg'; expected",),
-    ),
     ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time: missing", "[0, 1]")),
-    (
-        "time NaN",
-        in_frame(time=math.nan),
-        ("frames[1].time", "nan", "[0, 1]"),
-    ),
     ("time 1.5", in_frame(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
-    ("time true", in_frame(time=True), ("frames[1].time", "[0, 1]")),
     (
         "no matrix",
         lambda d: d["frames"][1].pop("transform_matrix"),
         ("frames[1].transform_matrix", "shape [4, 4]"),
     ),
-    (
-        "matrix 3x4",
-        change_matrix(pose()[:3].tolist()),
-        ("frames[1].transform_matrix", "shape [4, 4]"),
-    ),
-    ("ragged matrix", change_matrix([[1, 0], [0]]), ("frames[1].transform_matrix", "shape [4, 4]")),
     (
         "matrix NaN",
         change_matrix(with_entry(0, 3, math.nan)),
@@ -248,44 +230,9 @@ MISTAKES = [
         ("frames[1].transform_matrix", "+1"),
     ),
     (
-        "huge integers",
-        change_matrix([[10**400] * 4] * 4),
-        ("frames[1].transform_matrix", "shape [4, 4]"),
-    ),
-    (
-        "huge entry",
-        change_matrix(with_entry(0, 0, 1e200)),
-        ("frames[1].transform_matrix", "1e+06"),
-    ),
-    (
-        "large entry",
-        change_matrix(with_entry(0, 0, 1e5)),
-        ("frames[1].transform_matrix", "rotation"),
-    ),
-    (
-        "singular",
-        change_matrix((pose() * [1, 1, 0, 1]).tolist()),
-        ("frames[1].transform_matrix", "rotation"),
-    ),
-    (
-        "sheared",
-        change_matrix((pose() @ np.eye(4)[[0, 0, 2, 3]]).tolist()),
-        ("frames[1].transform_matrix", "rotation"),
-    ),
-    (
         "matrix of texts",
         change_matrix([[str(entry) for entry in row] for row in pose().tolist()]),
         ("frames[1].transform_matrix", "shape [4, 4]"),
-    ),
-    (
-        "matrix with true",
-        change_matrix([[True, *row[1:]] for row in pose().tolist()]),
-        ("frames[1].transform_matrix", "shape [4, 4]"),
-    ),
-    (
-        "a camera at 1e308",
-        change_matrix(with_entry(2, 3, 1e308)),
-        ("frames[1].transform_matrix", "1e+06"),
     ),
     (
         "a camera at 2e6",
@@ -298,18 +245,8 @@ MISTAKES = [
         ("frames[1].file_path", "outside", "picture in the folder"),
     ),
     (
-        "a picture above the folder, by a way through it",
-        in_frame(file_path="./train/../../secret.png"),
-        ("frames[1].file_path", "outside"),
-    ),
-    (
         "a picture through a link",
         in_frame(file_path="link"),
-        ("frames[1].file_path", "outside"),
-    ),
-    (
-        "a picture through a linked folder",
-        in_frame(file_path="linked/secret"),
         ("frames[1].file_path", "outside"),
     ),
     (
@@ -322,42 +259,22 @@ MISTAKES = [
         in_frame(file_path="train/r_001\0"),
         ("frames[1].file_path", "control characters"),
     ),
-    (
-        "a name no file bears",
-        in_frame(file_path="a" * 300),
-        ("frames[1].file_path", "picture"),
-    ),
     ("no angle", lambda d: d.pop("camera_angle_x"), ("camera_angle_x", "missing")),
     ("angle 4", in_file(camera_angle_x=4), ("camera_angle_x", "4; expected", "3.14159")),
-    ("angle text", in_file(camera_angle_x="0.6"), ("camera_angle_x", "one number")),
-    ("fl_x 0", in_file(fl_x=0), ("fl_x", "[1e-09")),
     ("fl_y huge", in_file(fl_y=10**400), ("fl_y", "1e+09]")),
-    ("cy NaN", in_file(cy=math.nan), ("cy", "nan", "1e+09]")),
     *(
         (f"{name} {value}", in_file(**{name: value}), (name, *words))
         for name, value, *words in (
-            ("w", 0, "[1, 1e+09]"),
             ("w", 24, "24x8", "12x8 pixels"),
             ("h", 9, "w, h, cx, cy: 12x9", "12x8 pixels"),
-            ("camera_angle_y", 0, "[1e-06"),
             ("fl_x", 20, "camera_angle_x: 0.69; expected 0.582914", "fl_x"),
-            ("k1", math.nan, "nan; expected one number"),
             ("k3", -1e-9, "-1e-09; expected 0", "undistort"),
-            ("k4", math.nan, "nan; expected 0", "undistort"),
-            ("distortion_params", [0, 0.1], "[0, 0.1]; expected 0", "undistort"),
             ("is_fisheye", True, "True", "undistort"),
             ("camera_model", "OPENCV_FISHEYE", "'OPENCV_FISHEYE'", "PINHOLE", "OPENCV"),
-            ("skew", 3.0, "3.0", "undistort"),
             ("cx", 12.5, "12x8, 12.5, 4; expected", "12x8 pixels, and a place inside"),
         )
     ),
-    *(
-        (f"{name} of a frame", lambda d, f={name: value}: d["frames"][1].update(f), words)
-        for name, value, *words in (
-            ("camera_angle_x", 4, "frames[1].camera_angle_x: 4; expected"),
-            ("k4", 0.1, "frames[1].k4: 0.1; expected 0"),
-        )
-    ),
+    ("k4 of a frame", in_frame(k4=0.1), ("frames[1].k4: 0.1; expected 0",)),
 ]
 
 
@@ -366,7 +283,6 @@ MISTAKES = [
 def test_mistakes_in_a_transforms_file(folder, change, words):
     shutil.copy(folder / "train" / "r_000.png", folder.parent / "secret.png")
     (folder / "link.png").symlink_to(folder.parent / "secret.png")
-    (folder / "linked").symlink_to(folder.parent)
     os.mkfifo(folder / "pipe.png")
     edit(folder, change)
     refuse(("transforms_train.json", *words), load_scene, folder)
@@ -443,29 +359,19 @@ def picture(*shape, pixels=np.uint8(0), **kind):
     )
 
 
-FIVE_THOUSAND = '{"frames": [], "time": ' + "9" * 5000 + "}"
 nothing = text("notes.txt", "a file that nobody reads")
 IN_THE_FOLDER = [
     (nothing, dict(path="nowhere"), ("nowhere", "bouncing")),
-    (nothing, dict(path="train/r_000.png"), ("r_000.png", "folder")),
     (nothing, dict(downscale=0), ("downscale", "0")),
-    (nothing, dict(downscale=2.0), ("downscale", "integer")),
     (nothing, dict(downscale=9), ("frames[0]", "12x8", "at least downscale 9")),
-    (nothing, dict(background="pink"), ("background", "pink")),
     (nothing, dict(background=(0.5, 0.5)), ("background", "shape [3]")),
-    (nothing, dict(background=(0, 0, 2)), ("background", "[0, 1]")),
     (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
-    (effects("rotation"), {}, ("scene.json", "effects", "list")),
-    (effects([["rotation"]]), {}, ("scene.json", "effects[0]", "rotation")),
     (effects(["rotation", "rotation"]), {}, ("scene.json", "effects", "each of them once")),
     (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
-    *(
-        (
-            picture(HEIGHT, WIDTH, channels, mode=mode, extension=".tif"),
-            {},
-            ("frames[1].file_path", "r_001.png", f"pixels of kind {mode}; expected RGB"),
-        )
-        for mode, channels in (("CMYK", 4), ("LAB", 3))
+    (
+        picture(HEIGHT, WIDTH, 4, mode="CMYK", extension=".tif"),
+        {},
+        ("frames[1].file_path", "r_001.png", "pixels of kind CMYK; expected RGB"),
     ),
     (
         picture(HEIGHT, WIDTH, pixels=np.uint16(300)),
@@ -477,14 +383,7 @@ IN_THE_FOLDER = [
         {},
         ("transforms_test.json", "frames[1].file_path", "r_001.png", "a picture of RGB"),
     ),
-    (
-        lambda folder: (folder / "test" / "r_001.png").write_bytes(b"v/1\x01 an OpenEXR file"),
-        {},
-        ("r_001.png: cannot be read (Pillow can not read the provided bytes.)", "RGB"),
-    ),
     (text("transforms_test.json", '{"frames": ['), {}, ("transforms_test.json", "JSON")),
-    (text("transforms_test.json", "[1, 2]"), {}, ("transforms_test.json", "JSON")),
-    (text("transforms_test.json", FIVE_THOUSAND), {}, ("transforms_test.json", "JSON")),
     (text("transforms_test.json", '{"frames": []}'), {}, ("transforms_test.json", "empty")),
 ]
 
@@ -564,36 +463,27 @@ def test_scene_from_arrays():
     refuse(("arrays: images[0]: time", "[0, 1]"), replace, single, train=(late,))
 
 
-CAMERA = dict(
-    rotation=[
-        dict(R=2 * np.eye(3)),
-        dict(R=np.zeros((3, 3))),
-        dict(R=np.diag([1.0, 1.0, -1.0])),
-    ],
-    R=[dict(R=np.eye(4)), dict(R=np.full((3, 3), 1e200)), dict(R=np.eye(3).astype(str))],
-    T=[dict(T=np.full(3, np.inf)), dict(T=np.array([0, 0, 1e308])), dict(T=np.full(3, np.nan))],
-    f_x=[dict(f_x=-1.0)],
-    f_y=[dict(f_y=1e300)],
-    c_x=[dict(c_x=-1e300)],
-    c_y=[dict(c_y=math.nan)],
-)
 IMAGES, CAMERAS, TIMES = arrays()
 IN_ARRAYS = [
     (dict(cameras=CAMERAS[:4]), ("images, cameras, times", "5, 4 and 5")),
     (dict(times=[0, 0, math.nan, 0, 0]), ("images[2]: time", "nan")),
     (dict(test=[0, 5]), ("test[1]", "5", "[0, 4]")),
     (dict(test=range(5)), ("train", "at least one")),
-    (dict(effects=["wind"]), ("effects", "wind")),
     (dict(images=IMAGES * 255), ("images[0]", "[0, 1]")),
-    (dict(images=IMAGES * np.nan), ("images[0]", "finite")),
     (dict(images=IMAGES[..., 0]), ("images[0]", "(H, W, 3)")),
-    (dict(images=IMAGES.astype(np.int64)), ("images[0]", "int64")),
     (dict(images=[*IMAGES[:4], IMAGES[4][:4]]), ("images[4]", "same for all")),
     (dict(images=IMAGES[:, :6]), ("images[0]", "camera", "12x8")),
     *(
         (dict(cameras=[replace(CAMERAS[0], **change), *CAMERAS[1:]]), ("images[0]: camera", word))
-        for word, changes in CAMERA.items()
-        for change in changes
+        for word, change in (
+            ("rotation", dict(R=2 * np.eye(3))),
+            ("R", dict(R=np.eye(4))),
+            ("T", dict(T=np.full(3, np.nan))),
+            ("f_x", dict(f_x=-1.0)),
+            ("f_y", dict(f_y=1e300)),
+            ("c_x", dict(c_x=-1e300)),
+            ("c_y", dict(c_y=math.nan)),
+        )
     ),
 ]
 

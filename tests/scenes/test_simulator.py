@@ -38,7 +38,7 @@ FULL = {
                 {"kind": "spin", "axis": [1, 1, 0], "degrees": 90},
             ],
         },
-        {**BOX, "parent": "ball", "position": [0, 0.5, 0.1], "faces_camera": True},
+        {**BOX, "parent": "ball", "position": [0, 0.5, 0.1]},
     ],
 }
 
@@ -129,10 +129,10 @@ def test_the_highlight_follows_the_viewer_only_with_view_color(effects, follows)
 )
 def test_translations(move, t, want):
     body = changed(bodies=[{**SPHERE, "motion": [move]}]).bodies
-    pose = poses(body, ("translation",), t, np.zeros(3))["ball"]
+    pose = poses(body, ("translation",), t)["ball"]
     np.testing.assert_allclose(pose.T, want, atol=1e-12)
     np.testing.assert_allclose(pose.R, np.eye(3))
-    assert not poses(body, ("rotation", "scaling"), t, np.zeros(3))["ball"].T.any()
+    assert not poses(body, ("rotation", "scaling"), t)["ball"].T.any()
 
 
 def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
@@ -148,20 +148,11 @@ def test_limbs_are_carried_by_their_parents_but_do_not_inherit_scale():
             },
         ]
     ).bodies
-    ball, box = poses(bodies, SIMULATOR_EFFECTS, 1.0, np.zeros(3)).values()
+    ball, box = poses(bodies, SIMULATOR_EFFECTS, 1.0).values()
     np.testing.assert_allclose([ball.scale, box.scale], [1.5, 1])
     # The quarter turn of the parent takes x to y; the turn of the child first takes z to x.
     np.testing.assert_allclose(box.T, (0, 1, 0), atol=1e-12)
     np.testing.assert_allclose(box.R @ [0, 0, 1], (0, 1, 0), atol=1e-12)
-
-
-def test_a_body_that_faces_the_camera():
-    body = changed(bodies=[{**BOX, "faces_camera": True}]).bodies
-    for viewer in (np.array([2.0, -1, 3]), np.array([0.0, 0, 2])):
-        R = poses(body, ("view_geometry",), 0.0, viewer)["box"].R
-        np.testing.assert_allclose(R[:, 2], viewer / np.linalg.norm(viewer), atol=1e-12)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(R) > 0 and R[2, 0] == 0
 
 
 def test_occlusion_and_its_absence():
@@ -250,7 +241,6 @@ def ball_with(**fields):
 MISTAKES = [
     ({"efects": []}, "scene: unknown field", "efects"),
     ({"effects": ["wind"]}, "scene: effects", "wind"),
-    ({"resolution": [64]}, "scene: resolution", "shape [2]"),
     ({"resolution": [64, 6.5]}, "scene: resolution", "integers"),
     (
         {"light": {"kind": "sun", "direction": [0, 0, 0], "ambient": 0.1}},
@@ -258,29 +248,16 @@ MISTAKES = [
         "not zero",
     ),
     ({"light": {"kind": "lamp"}}, "scene: light.kind", "sun, point"),
-    ({"light": {"direction": [0, 0, 1]}}, "scene: light.kind", "sun, point"),
     ({"bodies": []}, "scene: bodies", "at least one"),
-    ({"bodies": {}}, "scene: bodies", "list"),
     (ball_with(parent="box"), "scene: bodies[0]: name", "listed before"),
-    ({"bodies": [SPHERE, SPHERE]}, "scene: bodies[1]: name", "no body before it"),
     (ball_with(color=[0, 0, 1.5]), "scene: bodies[0].color", "1.5]; expected numbers"),
-    (ball_with(color=[0, 0, math.nan]), "scene: bodies[0].color", "nan"),
     (ball_with(position=[0, 0, math.inf]), "scene: bodies[0].position", "inf"),
-    (ball_with(faces_camera=1), "scene: bodies[0].faces_camera", "a bool"),
-    (ball_with(name=3), "scene: bodies[0].name", "a text"),
     (ball_with(shape={"kind": "sphere"}), "scene: bodies[0].shape.radius", "one number"),
-    (ball_with(shape={"kind": "cone"}), "scene: bodies[0].shape.kind", "sphere, box, capsule"),
     (
         ball_with(motion=[{"kind": "line", "by": [0, 0, 1], "height": 2}]),
         "scene: bodies[0].motion[0]",
         "unknown field ['height']",
     ),
-    (
-        ball_with(motion=[{"kind": "line", "by": [0, 0, 10**400]}]),
-        "scene: bodies[0].motion[0].by",
-        "1e+06",
-    ),
-    (ball_with(specular=3), "scene: bodies[0].specular", "expected a dict"),
 ]
 
 

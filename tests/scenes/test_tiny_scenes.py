@@ -41,13 +41,6 @@ def rounded(file):
     )
 
 
-def test_the_size_of_twocams_is_stated():
-    files = [path for path in (packaged_folder() / "twocams").rglob("*.*") if path.is_file()]
-    assert len(files) == 2 * (48 + 12) + 4
-    size = sum(file.stat().st_size for file in files)
-    assert f"| {size:,} |" in (packaged_folder() / "README.md").read_text(encoding="utf-8")
-
-
 def test_twocams_is_read_as_it_was_drawn():
     description, scene = read_description(two_cameras.SOURCE), load_scene("twocams")
     eyes = two_cameras.cameras(description)

@@ -245,19 +245,6 @@ def test_designs_are_within_the_ranges_of_the_table(seed, whole):
         assert 0.98 * fewest <= everything - networks <= 1.02 * most, name
 
 
-def test_rows_of_four_pictures_are_of_one_size_with_names_and_without(whole):
-    plt.close("all")
-    pictures = np.zeros((4, whole.SIZE**2))
-    for names in (None, "abcd"):
-        whole.strip("title", pictures, names)
-    rows = [plt.figure(number) for number in plt.get_fignums()]
-    for row in rows:
-        row.canvas.draw()
-    boxes = [[axis.get_window_extent().bounds for axis in row.axes[:4]] for row in rows]
-    plt.close("all")
-    assert boxes[0] == boxes[1]
-
-
 # --- form -----------------------------------------------------------------------------------------
 def test_it_needs_nothing_of_the_package():
     nodes = list(ast.walk(ast.parse(SOURCE)))

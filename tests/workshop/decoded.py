@@ -9,8 +9,8 @@ from p4dgs_ref.codec.container import BitstreamError, read_container
 from p4dgs_ref.codec.context import hash_feature
 from p4dgs_ref.codec.file import NETWORK_SECTIONS, quantised_of
 from p4dgs_ref.codec.plain import network_numbers
-from p4dgs_ref.oracle import safetensors
 from p4dgs_ref.oracle.streams import STREAMS, TYPES, read_rows
+from tests.workshop import writer
 
 
 def arrays_of(quantised):
@@ -63,5 +63,5 @@ def write_answers(folder):
         except BitstreamError as error:
             refusals[row["name"]] = str(error)
         else:
-            (place / f"{row['name']}.safetensors").write_bytes(safetensors.dump(arrays))
+            (place / f"{row['name']}.safetensors").write_bytes(writer.dump(arrays))
     (place / "refusals.json").write_text(json.dumps(refusals, indent=1), encoding="utf-8")

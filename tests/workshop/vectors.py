@@ -18,11 +18,11 @@ import numpy as np
 import scipy
 
 from p4dgs_ref import EQUATIONS, __version__
-from p4dgs_ref.oracle import published, safetensors, streams, tolerance
+from p4dgs_ref.oracle import published, streams, tolerance
 from p4dgs_ref.oracle.compare import cast
 from p4dgs_ref.oracle.published import FOLDER, flatten, read_manifest
 from p4dgs_ref.output import staged_folder
-from tests.workshop import independent, measured
+from tests.workshop import independent, measured, writer
 from tests.workshop.cases import FLAGS
 from tests.workshop.subjects import lacking, subjects
 
@@ -165,7 +165,7 @@ def subject_file(subject, kept):
         "constants": subject.constants,
         "cases": records,
     }
-    return safetensors.dump(tensors, {"license": "CC0-1.0"}), row
+    return writer.dump(tensors, {"license": "CC0-1.0"}), row
 
 
 def build(progress=lambda text: None, again=()):

@@ -17,7 +17,7 @@ from p4dgs_ref.codec.container import read_container
 from p4dgs_ref.codec.file import encode, quantised_of
 from p4dgs_ref.equations import hash_grid
 from p4dgs_ref.model import context
-from p4dgs_ref.report.figures import COLORS, heat_image
+from p4dgs_ref.report.figures import COLORS
 from p4dgs_ref.report.inspect import anchor_bits, symbol_bits
 from p4dgs_ref.splatting import compositing, render
 from p4dgs_ref.splatting.settings import EXACT, FAST
@@ -48,6 +48,23 @@ MIN_SHARE = 0.01  # of a pixel: a Gaussian that gives less to it is not drawn
 
 
 # --- what is drawn --------------------------------------------------------------------------------
+def heat_image(model, colors, camera, t, settings=FAST):
+    """Return the model at time t over white, (H, W, 3), in the colours (A, 3) of its anchors."""
+    g = model.gaussians(t, camera)
+    (image, *_), _ = render.forward(
+        g.x,
+        g.s,
+        g.r,
+        g.alpha,
+        colors[g.index // model.design.k],
+        camera,
+        np.ones(3),
+        settings,
+        "occlusion" in model.design.effects,
+    )
+    return image
+
+
 def enlarged(camera, zoom):
     """The camera with `zoom` times as many pixels in each direction."""
     lengths = {name: zoom * getattr(camera, name) for name in ("f_x", "f_y", "width", "height")}

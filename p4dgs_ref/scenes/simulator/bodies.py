@@ -167,20 +167,11 @@ def turn(axis, degrees):
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
-def rotation_to_viewer(T, viewer):
-    """Return the rotation whose third column points from T to the viewer; the first is level."""
-    back = (viewer - T) / np.linalg.norm(viewer - T)
-    level = np.array([-back[1], back[0], 0.0])
-    right = level / np.linalg.norm(level) if level.any() else np.array([1.0, 0, 0])
-    return np.stack([right, np.cross(back, right), back], axis=1)
-
-
-def poses(bodies, effects, t, viewer):
+def poses(bodies, effects, t):
     """Return the pose of every body at time t, {name: Pose}; parents stand before their children.
 
     Offsets are in the frame of the parent. A child inherits R and T of its parent, not the scale. A
-    motion whose effect is not listed is not computed. `faces_camera`, the simulator's form of
-    view_geometry, turns a body to the viewer.
+    motion whose effect is not listed is not computed.
     """
     placed = {}
     for body in bodies:
@@ -192,8 +183,5 @@ def poses(bodies, effects, t, viewer):
             if effect in effects:
                 moved[effect] = COMBINED[effect](moved[effect], formula(motion, t))
         offset, R, scale = moved.values()
-        T = base.T + base.R @ offset
-        if body.faces_camera and "view_geometry" in effects:
-            R = rotation_to_viewer(T, viewer)
-        placed[body.name] = Pose(R, T, scale)
+        placed[body.name] = Pose(R, base.T + base.R @ offset, scale)
     return placed

@@ -19,7 +19,6 @@ from ..fields import (
     one_of,
     require_field,
     text,
-    value_of_type,
 )
 from ..files import read_json
 from ..scene import COLOR, NUMBER, POINT, SHARE, SIMULATOR_EFFECTS, check_effects
@@ -40,11 +39,6 @@ def in_range(low, high, shape=(), kind=float):
 def axes(value, where):
     """Return the axes along which a checker alternates."""
     return choice(value, where, ("xy", "xyz"))
-
-
-def truth(value, where):
-    """Return true or false."""
-    return value_of_type(value, where, bool)
 
 
 def objects(table):
@@ -130,7 +124,6 @@ BODY = {
     "turn": (objects(TURN), SimpleNamespace(axis=(0, 0, 1), degrees=0)),
     "parent": (text, None),
     "motion": (lists(kinds(MOTIONS)), ()),
-    "faces_camera": (truth, False),
 }
 LENS = {  # in pixels; the principal point counts from the corner, as in the transforms files
     "fl_x": (POSITIVE, REQUIRED),

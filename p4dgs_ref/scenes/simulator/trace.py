@@ -30,7 +30,7 @@ def trace(description, camera, t):
     """
     effects, viewer = description.effects, camera.center
     bodies, directions = description.bodies, rays(camera)
-    where = poses(bodies, effects, t, viewer)
+    where = poses(bodies, effects, t)
     hits = np.array([hit(body, where[body.name], viewer, directions) for body in bodies])
     visible = np.isfinite(hits)  # [bodies, rays]
     covered = visible.any(axis=0) if "background" in effects else None

@@ -137,10 +137,6 @@ GRADED = {
         *("offsets", None, LATER, 4, NO_BACKWARD),
         "backward: error in offsets/ordinary: NotImplementedError: later",
     ),
-    "nothing without a forward": (
-        *("offsets", LATER, None, 0, NOTHING),
-        "forward: error in offsets/ordinary: NotImplementedError: later",
-    ),
     "a gradient without its sum": (
         *("offsets", None, NO_SUM, 8.3, {"forward": "3 of 3", "gradients": "6 of 9"}),
         "backward: the gradient of x_a: 15 of 15 numbers are wrong",
@@ -151,52 +147,25 @@ GRADED = {
     # exp(l_a) is 1 in the case where l_a is 0: explains that case by accident
     "an unknown mistake": ("offsets", None, NO_FACTOR, 8, {}, "the gradient of O_a: 60 of 60"),
     "a missing gradient": (
-        *("offsets", None, TWO, 8, {}, "backward: the gradient of l_a is missing"),
-    ),
-    "a backward that does not fit its forward": (
-        *("offsets", SAVES_MORE, None, 4, NO_BACKWARD, "too many values to unpack"),
+        *("offsets", None, TWO, 8, {}, "backward: the gradient of l_a (missing)"),
     ),
     "float32": (
         *("offsets", RIGHT + "return x.astype(np.float32), (O_a, l_a)", None, 6, NO_FORWARD),
         "forward: nonsense in offsets/ordinary: out.x: expected float64",
     ),
     "no pair": ("offsets", RIGHT + "return x", None, 0, NOTHING, "forward: expected a pair, "),
-    "no dictionary": (
-        *("offsets", None, "return x_bar, x_bar", 4, NO_BACKWARD),
-        "backward: expected a dictionary {input name: gradient}, got tuple",
-    ),
-    "an error": ("offsets", "return 1 / 0", None, 0, NOTHING, "ZeroDivisionError"),
     "a list of outputs": (
         *("view", LIST, None, None, {"forward": "0 of 6", "gradients": "3 of 3"}),
         "forward: expected a tuple of 2 outputs, delta_vc, d_vc, got 1 of type list",
     ),
     # beside a tie, adding a half rounds up, which is another mistake than the known one
     "only hard cases": ("rounding", AWAY, None, None, {"forward": "6 of 6"}, "instead of to even"),
-    "prints": (
-        *("offsets", 'print("x" * 100_000)\n' + RIGHT + "return x, (O_a, l_a)"),
-        *(None, 10, {}, ""),
-    ),
     # What `oracle.check` and a tutorial say of an answer, `grade` says too.
     "nested lists": (*("offsets", RIGHT + "return x.tolist(), (O_a, l_a)", LISTS, 10, {}, ""),),
-    "numbers of another byte order": (
-        *("offsets", RIGHT + "return x.astype('>f8'), (O_a, l_a)", None, 10, {}, ""),
-    ),
-    "changed inputs": (
-        *("offsets", RIGHT + "x_a[:] = 7\nreturn x, (O_a, l_a)", None, 6, NO_FORWARD),
-        "the function changes its argument x_a",
-    ),
-    "complex": (
-        *("offsets", RIGHT + "return x + 0j, (O_a, l_a)", None, 6, NO_FORWARD),
-        "got complex128",
-    ),
-    "masked": (
-        *("offsets", RIGHT + "return np.ma.array(x, mask=True), (O_a, l_a)", None, 6, NO_FORWARD),
-        "expected an array without masked elements",
-    ),
     "one finding for each direction": (
         *("offsets", AS_LOGARITHM, "return {'x': x_bar}", 0, NOTHING),
         "l_a is taken for a logarithm: exp(l_a) scales the offsets [offsets-log-reach]\n"
-        "backward: the gradient of x_a is missing",
+        "backward: the gradient of x_a (missing)",
     ),
     "names that mean something else": (
         "offsets",
@@ -205,11 +174,6 @@ GRADED = {
         + "return x, (O_a, l_a)",
         *(None, 10, {}, ""),
     ),
-    "no numbers": (
-        *("offsets", "return np.array(['x']), None", None, 0, NOTHING, "error in offsets"),
-    ),
-    "reads": ("offsets", "input()", None, 0, NOTHING, "EOFError"),
-    "recursion": ("offsets", "return forward(x_a, O_a, l_a)", None, 0, NOTHING, "RecursionErr"),
     "ends politely": ("offsets", "import sys\nsys.exit(0)", None, 0, NOTHING, "SystemExit"),
     # each of their cases starts the process anew, which takes seconds
     "hangs": ("offsets", "while True:\n    pass", None, 0, NOTHING, "forward: hung in offsets"),

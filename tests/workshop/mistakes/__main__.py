@@ -13,6 +13,7 @@ from p4dgs_ref.oracle import published, safetensors
 from p4dgs_ref.oracle.compare import compare
 from p4dgs_ref.oracle.doctor import FOLDER
 from p4dgs_ref.oracle.published import flatten
+from tests.workshop import writer
 from tests.workshop.mistakes import MISTAKES, NotApplicable
 
 
@@ -53,7 +54,7 @@ def files():
 
 
 def packed(arrays):
-    return gzip.compress(safetensors.dump(arrays), mtime=0)
+    return gzip.compress(writer.dump(arrays), mtime=0)
 
 
 def kept(name, data):
