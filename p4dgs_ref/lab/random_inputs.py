@@ -30,18 +30,3 @@ def random_anchor_network(rng, A=5, d=2, k=4, outputs=1, hidden=(7, 6)):
         weights=weights,
         biases=biases,
     )
-
-
-def random_splats(rng, n, height, width, sigma=(1.5, 4.0), alpha=(0.05, 0.9)):
-    """Return inputs of compositing: n splats of a size in pixels, spread over an image."""
-    angle, radii = rng.uniform(0, np.pi, n), rng.uniform(*sigma, size=(2, n))
-    c, s, (p, q) = np.cos(angle), np.sin(angle), radii**-2.0
-    center = ((width - 1) / 2, (height - 1) / 2)
-    return dict(
-        mean2d=rng.uniform(-0.5, 0.5, (n, 2)) * (width, height) + center,
-        conic=np.stack([c * c * p + s * s * q, c * s * (p - q), s * s * p + c * c * q], axis=1),
-        alpha=rng.uniform(*alpha, size=n),
-        color=rng.uniform(size=(n, 3)),
-        depth=rng.uniform(1, 5, size=n),
-        visible=np.ones(n, bool),
-    )

@@ -71,6 +71,19 @@ def test_the_slower_function_is_never_called_the_faster_one(machine, seed, slowe
     assert rows["stable"].ms > rows["literal"].ms if told else slower > 1
 
 
+def test_a_spread_larger_than_the_difference_is_no_reading(machine):
+    rows = times(machine(slower=4, seed=3), one=0.010, other=0.011)
+    assert not clock.differ(rows["one"], rows["other"])
+    rows = times(machine(), one=0.010, other=0.011)
+    assert clock.differ(rows["one"], rows["other"])
+
+
+def test_quartiles_that_overlap_tell_nothing():
+    one, other = clock.Times(10, 7, 10.1, 1), clock.Times(6.5, 6.4, 9.4, 1)
+    assert not clock.differ(one, other) and not clock.differ(other, one)
+    assert clock.differ(one, other._replace(ms_high=6.9))
+
+
 def test_a_timed_step_is_the_second_of_its_stage():
     scene, codes = load_scene("static", downscale=8), equation_codes()
     step, seen = clock.step_at(scene, SMOKE, 4), []

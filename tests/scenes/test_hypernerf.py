@@ -194,6 +194,16 @@ def test_scenes_without_time_id_count_times_by_warp_id(folder):
     assert {view.time for view in load_scene(folder).train} == {0}
 
 
+def test_photographs_are_found_by_any_ending(folder):
+    for name, ending in zip(LEFT, (".jpg", ".JPG", ".jpeg", ".PNG")):
+        file = folder / f"rgb/1x/{name}.png"
+        pixels = iio.imread(file)
+        file.unlink()
+        iio.imwrite(file.with_suffix(ending), pixels // 8 * 0 + 77)
+    for view in load_scene(folder).train:
+        np.testing.assert_allclose(view.image, 77 / 255, atol=2 / 255)
+
+
 def test_points_of_colmap_are_named_where_points_are_missing(folder):
     (folder / "points.npy").unlink()
     refuse(("points.npy: missing", "model_converter"), load_scene, folder)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import p4dgs_ref as p4
-from p4dgs_ref.lab.random_inputs import random_splats
 from p4dgs_ref.splatting import compositing, fast, loop, render, tiles
 from p4dgs_ref.splatting.camera import look_at
 from p4dgs_ref.splatting.settings import EXACT, FAST, KERNEL
 from tests import ROOT
 from tests.sampling import few
 from tests.workshop import needles
+from tests.workshop.cases.compositing import random_splats
 
 # (height, width): one pixel, less than a tile, not a multiple of a tile, square.
 SIZES = [(1, 1), (5, 3), (29, 43), (64, 64)]

@@ -85,6 +85,7 @@ def test_deformation_network_sizes_of_choice_q1(scene):
         ({"stage_ends": "4,3,2,1"}, "stage_ends"),
         ({"lr_d": "0.1"}, "lr_d"),
         ({"grow": "wild"}, "grow"),
+        ({"voxel": "nan"}, "voxel"),
         ({"upright": "maybe"}, "upright"),
         ({"name": "x"}, "name"),
         ({"k": 2.5}, "'k'"),

@@ -207,7 +207,7 @@ def maps(named):
     return errors
 
 
-def draw_maps(figure, axes, errors, location="right", **text):
+def draw_maps(figure, axes, errors, location="right"):
     """Draw `maps` into axes; infinite is red. All share a bar of colours."""
     from matplotlib import colormaps
 
@@ -225,7 +225,7 @@ def draw_maps(figure, axes, errors, location="right", **text):
         ax.set(xlim=widths[[0, -1]], ylim=distances[[0, -1]])
         ax.minorticks_off()
         ax.grid(False)
-        ax.set_title(f"{name}, {dtype}", **text)
+        ax.set_title(f"{name}, {dtype}")
     figure.supxlabel("bin width q/σ")
     figure.supylabel("distance (x − μ)/σ, above and below the mean")
     label = "log10 of the error of the bits"
