@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from p4dgs_ref.codec import quantise
 from p4dgs_ref.codec.file import decode, encode
+from p4dgs_ref.codec.quantise import without_silent_units
 from p4dgs_ref.effects import MOTION
 from p4dgs_ref.lab import effect_ledger
+from p4dgs_ref.model import ANCHOR_NETWORKS
 from p4dgs_ref.report.evaluate import evaluate
+from p4dgs_ref.report.inspect import components
 from p4dgs_ref.scenes import MODEL_EFFECTS, load_scene
 from p4dgs_ref.training.presets import SMOKE, TINY
-from p4dgs_ref.training.trainer import Trainer
+from p4dgs_ref.training.trainer import Trainer, assemble
 from tests.sampling import few, turn
 
 EPS = np.finfo(float).eps
@@ -60,6 +64,34 @@ def test_work_that_effects_share_belongs_to_none_of_them():
 
 
 # --- what is always zero -------------------------------------------------------------------------
+@pytest.mark.parametrize("name", few(["static", "figure"], 1))
+def test_silent_units_change_no_picture(name, monkeypatch):
+    """A model without the units that are always zero is the same function, and its file smaller."""
+    trainer = trained(name, "occlusion")
+    scene, p = trainer.scene, trainer.parameters
+    for i, net in enumerate(ANCHOR_NETWORKS):
+        p[f"{net}.b0"][[i, i + 1]] = -100
+        p[f"{net}.b1"][i : i + 3 + i] = -100
+    whole = assemble(p, trainer.design, trainer.mask, trainer.box, scene.background)
+    with monkeypatch.context() as unslimmed:
+        unslimmed.setattr(quantise, "without_silent_units", lambda model: model)
+        data = encode(whole)
+    model = decode(data)
+    slim = without_silent_units(model)
+    # Two and three units are zero in all networks; training may have silenced more.
+    first, second = slim.design.hidden
+    assert first <= SMOKE.hidden[0] - 2 and second <= SMOKE.hidden[1] - 3
+    again = encode(whole)
+    assert again == encode(slim) == encode(decode(again))
+    assert len(again) < len(data) - 100
+    assert components(again)["features"] == components(data)["features"]
+    for view in scene.test[:3]:
+        models = slim, model, decode(again)
+        for a, b, c in zip(*(m.gaussians(view.time, view.camera) for m in models)):
+            assert np.array_equal(a, c)
+            assert np.abs(a - b).max() <= 64 * EPS * max(np.abs(b).max(), 1)
+    seeing = decode(encode(trained(name, "view_color").model()))
+    assert without_silent_units(seeing) is seeing
 
 
 @pytest.mark.slow

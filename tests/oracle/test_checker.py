@@ -325,3 +325,15 @@ def test_the_export_is_the_published_vectors(exported):
     assert {file.name for file in folder.iterdir() if file.is_file()} == {
         file.name for file in published.FOLDER.iterdir() if file.is_file()
     }
+
+
+def test_half_precision_is_not_judged(tmp_path):
+    result = judge_folder(tmp_path, "offsets", right("offsets", np.float16)).results[0]
+    assert result.findings[0].message == "float16, expected float64 or float32"
+    file = tmp_path / "offsets.safetensors"
+    file.write_bytes(file.read_bytes().replace(b'"F16"', b'"B16"'))
+    result = checker.check_port(FolderPort(tmp_path), only="offsets").results[0]
+    assert result.verdict == "damaged" and "bfloat16 is not judged" in result.explanation
+    assert "Half and bfloat16 are not judged" in (published.FOLDER / "README.md").read_text(
+        encoding="utf-8"
+    )
