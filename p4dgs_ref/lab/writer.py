@@ -3,15 +3,11 @@
 import csv
 
 
-def read_csv(path):
-    """Return the rows of a CSV without empty fields; numbers become numbers, except in `sha256`."""
+def read_csv(path, texts=("sha256",)):
+    """Return the rows of a CSV without empty fields; numbers become numbers, except in `texts`."""
     with open(path, newline="", encoding="utf-8") as file:
         return [
-            {
-                name: text if name == "sha256" else as_number(text)
-                for name, text in row.items()
-                if text
-            }
+            {name: text if name in texts else as_number(text) for name, text in row.items() if text}
             for row in csv.DictReader(file)
         ]
 

@@ -207,7 +207,6 @@ MISTAKES = [
         ("frames[1].file_path", "r_9.png"),
     ),
     ("time missing", lambda d: d["frames"][1].pop("time"), ("frames[1].time: missing", "[0, 1]")),
-    ("time 1.5", in_frame(time=1.5), ("frames[1].time", "1.5", "[0, 1]")),
     (
         "no matrix",
         lambda d: d["frames"][1].pop("transform_matrix"),
@@ -364,7 +363,6 @@ IN_THE_FOLDER = [
     (nothing, dict(path="nowhere"), ("nowhere", "bouncing")),
     (nothing, dict(downscale=0), ("downscale", "0")),
     (nothing, dict(downscale=9), ("frames[0]", "12x8", "at least downscale 9")),
-    (nothing, dict(background=(0.5, 0.5)), ("background", "shape [3]")),
     (effects(["wind"]), {}, ("scene.json", "effects", "wind", *MODEL_EFFECTS)),
     (effects(["rotation", "rotation"]), {}, ("scene.json", "effects", "each of them once")),
     (picture(HEIGHT, 6, 4), {}, ("test/r_001", "6x8", "12x8")),
