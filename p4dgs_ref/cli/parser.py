@@ -425,6 +425,10 @@ def run(argv, start):
             code, message = 130, f"stopped{str(stop) or STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError, ChildProcessError) as error:
             code, message = 1, str(error) or "out of memory"
+        except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
+            if not str(error.name).startswith("p4dgs_ref."):
+                raise
+            code, message = 2, f"{arguments.command}: {error.name} is not in this installation"
         except OSError as error:
             code, message = 2, f"{error.filename or 'output'}: {error.strerror or error}"
         except ValueError as error:

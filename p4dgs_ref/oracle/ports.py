@@ -29,19 +29,23 @@ class PortError(Exception):
 
 
 class FolderPort:
-    """The answers that a port wrote: `<subject>.safetensors` or, if there is none, `<subject>.npz`.
+    """The answers that a port wrote: `<subject>.safetensors` or `<subject>.npz`.
 
     The tensors are named "<case>/out.x". Its folder `codec` holds what it found in the streams.
     """
 
     def __init__(self, folder):
-        """Raises TensorError if a file has no subject's name."""
+        """Raises TensorError if a file has no subject's name, or a subject has two files."""
         self.folder = Path(folder)
         self.loaded = {}  # subject -> (arrays, file)
         streams = [row["name"] for row in stream_rows()]
         for place, known in (self.folder, subjects()), (self.folder / "codec", streams):
             for file in sorted(place.glob("*.safetensors")) + sorted(place.glob("*.npz")):
                 require_tensor(file.stem in known, f"{file}: name", suggestion(file.stem, known))
+                twin = file.with_suffix(".npz")
+                require_tensor(
+                    file == twin or not twin.exists(), twin, f"expected one file, not also {file}"
+                )
 
     def run(self, case):
         """Return the tensors of one case.

@@ -114,6 +114,13 @@ def test_a_misspelt_case_or_subject_is_refused(tmp_path):
             FolderPort(folder)
 
 
+def test_two_files_of_a_subject_are_refused_in_a_line(tmp_path):
+    write(tmp_path, offsets=right("offsets"))
+    (tmp_path / "offsets.npz").touch()
+    with pytest.raises(safetensors.TensorError, match="offsets.npz: expected one file, not also"):
+        FolderPort(tmp_path)
+
+
 def test_a_selection_that_chooses_nothing_is_refused_in_a_line(tmp_path):
     for choice, says in (
         (dict(only="ofsets"), "only ofsets: did you mean 'offsets'"),
