@@ -30,8 +30,10 @@ The header promises the following numbers: for every anchor 3 + d + 6 + 3 k attr
 the entries of the grid, and the weights and biases of all networks that the file contains: if
 nothing moves, psi_d does not count, whatever its widths. There are at most 2^24 entries of the grid
 and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes for each of
-these numbers, beside the file itself. The header has at most 2^14 bytes, because a JSON parser
-needs many times the memory of its text.
+these numbers, beside the file itself. This is enough to decode a file and to list where its bytes
+are. Drawing holds all A k Gaussians at once: a picture of 64x64 needs up to 1 KiB for each of them
+in addition. The header has at most 2^14 bytes, because a JSON parser needs many times the memory of
+its text.
 
 Time is bounded by n, the number of bytes of all sections together. The header promises at most
 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
