@@ -323,7 +323,7 @@ from p4dgs_ref import prepare
 prepare()
 from p4dgs_ref.__main__ import main
 from p4dgs_ref.training import fit
-fit.fit = partial(fit.fit, save_every=0)
+fit.run = partial(fit.run, save_every=0)
 sys.exit(main())
 """
 

@@ -103,7 +103,7 @@ def test_every_command(made, tmp_path, line):
     done = run(line, tmp_path)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     if line.startswith("grade"):
-        assert "10.00 of 10" in done.stdout, done.stdout
+        assert "10.0 of 10" in done.stdout, done.stdout
     left = [str(path) for path in tmp_path.rglob(".p4dgs-*")]
     assert not left, f"hidden files of output.py stay: {left}"
 
