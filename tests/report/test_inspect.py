@@ -92,12 +92,6 @@ def test_python_m_codec_prints_the_page():
     assert processes.run("-m", "p4dgs_ref.codec").stdout == page()
 
 
-def test_a_page_of_docstrings_needs_docstrings():
-    printed = processes.run("-OO", "-m", "p4dgs_ref.codec")
-    assert (printed.returncode, printed.stdout) == (2, "")
-    assert printed.stderr == "the page consists of docstrings; expected Python without -OO\n"
-
-
 def test_blocks_of_anchors_have_the_bits_of_all_at_once(data, monkeypatch):
     """A block holds as many anchors as memory allows: one, where hardly anything is allowed."""
     q = quantised_of(read_container(data))
