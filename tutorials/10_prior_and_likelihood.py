@@ -477,8 +477,9 @@ lessons.passes("likelihood", "prior")
 # Eq. (11) is correct, but a computer cannot always evaluate it as printed.
 #
 # **The printed formula fails in the tails.** Far to the right of the mean, both values of $\Phi$
-# round to 1 and their difference is 0. In `float64` this happens at $z = 9$ with $w = 1$, and in
-# `float32` already at $z = 6$. The bits are then infinite and their gradient is NaN.
+# round to 1 and their difference is 0. In bins of one sigma, $w = 1$, this happens at $z = 9$ in
+# `float64`, and already at $z = 6$ in `float32`; how far out depends on the width of the bin. The
+# bits are then infinite and their gradient is NaN.
 
 
 # %%
