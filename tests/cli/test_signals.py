@@ -53,7 +53,7 @@ def test_during_an_import(tmp_path, name, way, module):
 
 RUN = "train bouncing -o run --downscale 4 --quiet"
 KEPT = "; if the run folder has a checkpoint, the same command with --resume goes on from it"
-LOST = "; nothing is kept, because all files are written at the end"
+LOST = "; nothing is kept before the training ends"
 SAID = {  # of a command that was stopped
     "train": KEPT,
     "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
