@@ -3,7 +3,7 @@
     from tutorials.experiments import baselines
     model = baselines.d3dgs.Trainer(scene, baselines.d3dgs.Preset(), seed=0).run()
     sizes = model.save("bouncing.ply")
-    model = baselines.load("bouncing.ply")
+    model = baselines.decode(Path("bouncing.ply").read_bytes())
 
 The module of a method has its Preset, its model (a subclass of `explicit.Explicit`) and its
 Trainer. Its equations are modules of this folder: D1 to D3 belong to D3DGS, H1 to H3 to 4DHexPlane,
@@ -11,8 +11,6 @@ G1 to G4 to 4DGS.
 """
 
 import numpy as np
-
-from p4dgs_ref.scenes.files import one_line_errors
 
 from . import d3dgs, explicit, gaussian4d, hexplane
 
@@ -25,10 +23,9 @@ METHODS = {
 }
 
 
-def load(path):
-    """The model in a PLY file of any method. Raises ValueError for another file."""
-    with one_line_errors(path, "the file of a baseline"):
-        return model_of(*explicit.read_file(path))
+def decode(data):
+    """The model in a PLY file of any method."""
+    return model_of(*explicit.read_ply(data))
 
 
 def model_of(p, values):

@@ -92,7 +92,7 @@ class D3DGS(explicit.Explicit):
                 at_t = back_deformed(x_bar, s_bar, r_bar)
                 s_bar, r_bar = at_t["s"], at_t["r"]
                 deltas_bar = [at_t[f"delta_{name}"] for name in "xsr"]
-                psi = back_psi(*deltas_bar, needs_x=False)
+                psi = back_psi(*deltas_bar)
                 networks = {
                     **explicit.of_network("psi_d", psi["weights"], psi["biases"]),
                     **explicit.of_network("psi_t", psi["time_weights"], psi["time_biases"]),

@@ -38,7 +38,7 @@ def forward(
     L_t,  # []  frequencies of E(t)
 ):
     """Return delta_x [N, 3], delta_s [N, 3], delta_r [N, 4] and what `backward` needs."""
-    E_x, saved_encoding = positional_encoding.forward(x, L_x)
+    E_x, _ = positional_encoding.forward(x, L_x)
     seen_time, _ = positional_encoding.forward(np.full((1, 1), t, dtype=x.dtype), L_t)
     saved_time = saved_before = hidden = None
     if time_weights:
@@ -55,7 +55,7 @@ def forward(
         entering, [*weights[skip:-3], heads], [*biases[skip:-3], head_biases]
     )
     cuts = np.cumsum([W.shape[1] for W in weights[-3:-1]])  # where one head's columns end
-    saved = saved_encoding, saved_time, saved_before, hidden, saved_after, cuts
+    saved = saved_time, saved_before, hidden, saved_after, cuts
     return tuple(np.split(y, cuts, axis=1)), (*saved, E_x.shape[1], inputs.shape[1])
 
 
@@ -66,12 +66,12 @@ def skip_layer(weights):
     return wider[0] if wider else 0
 
 
-def backward(saved, delta_x_bar, delta_s_bar, delta_r_bar, needs_x=True):
-    """Gradients of x, weights, biases, time_weights and time_biases; t is data.
+def backward(saved, delta_x_bar, delta_s_bar, delta_r_bar):
+    """Gradients of weights, biases, time_weights and time_biases; t is data.
 
-    `needs_x=False` leaves x out: the pipeline lets no gradient flow from E(x) back into x (Q10).
+    So is x, because the pipeline lets no gradient flow from E(x) back into x (Q10).
     """
-    saved_encoding, saved_time, saved_before, hidden, saved_after, cuts, width_x, width = saved
+    saved_time, saved_before, hidden, saved_after, cuts, width_x, width = saved
     y_bar = np.concatenate([delta_x_bar, delta_s_bar, delta_r_bar], axis=1)
     after = mlp.backward(saved_after, y_bar)
     weights_bar, biases_bar = after["weights"], after["biases"]
@@ -86,13 +86,9 @@ def backward(saved, delta_x_bar, delta_s_bar, delta_r_bar, needs_x=True):
     if saved_time:
         seen_time_bar = inputs_bar[:, width_x:].sum(axis=0, keepdims=True)  # every row saw it
         time = mlp.backward(saved_time, seen_time_bar, needs_x=False)
-    gradients = {
+    return {
         "weights": weights_bar,
         "biases": biases_bar,
         "time_weights": time["weights"],
         "time_biases": time["biases"],
     }
-    if needs_x:
-        E_x_bar = inputs_bar[:, :width_x]
-        gradients["x"] = positional_encoding.backward(saved_encoding, E_x_bar)["p"]
-    return gradients

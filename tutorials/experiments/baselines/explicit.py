@@ -20,7 +20,6 @@ import numpy as np
 from p4dgs_ref.equations import render_loss, view
 from p4dgs_ref.equations.numerics import normalise, sigmoid
 from p4dgs_ref.model import bounding_box, with_backward
-from p4dgs_ref.output import write_atomically
 from p4dgs_ref.splatting import render
 from p4dgs_ref.splatting.covariance import rotation_matrix
 from p4dgs_ref.splatting.settings import FAST
@@ -168,13 +167,13 @@ class Explicit:
         ]
         vertices = np.concatenate(columns, axis=1).astype("<f4").tobytes()
         parts = "\n".join(lines).encode("ascii"), vertices, network.astype("<f4").tobytes()
-        write_atomically(Path(path), lambda file: file.write(b"".join(parts)))
+        Path(path).write_bytes(b"".join(parts))
         return dict(zip(("other", "gaussians", "network"), map(len, parts)))
 
 
-def read_file(path):
-    """The Parameters and the JSON values of a PLY file. Raises an error for one of another kind."""
-    head, _, body = Path(path).read_bytes().partition(b"end_header\n")
+def read_ply(data):
+    """The Parameters and the JSON values of a PLY file."""
+    head, _, body = data.partition(b"end_header\n")
     values = json.loads(re.search(rb"comment ({.*})", head)[1])
     count = int(re.search(rb"element vertex (\d+)", head)[1])
     columns = sum(math.prod(shape) for shape in values["rows"].values())
@@ -253,12 +252,11 @@ class Trainer(trainer.Trainer):
     }
     PER_EXTENT = ()  # names whose rates are multiples of the extent of the cameras
 
-    def __init__(self, scene, preset, seed=0, settings=FAST, points=None):
+    def __init__(self, scene, preset, seed=0, settings=FAST):
         self.scene, self.preset, self.settings = scene, preset, settings
         self.rng = np.random.default_rng(seed)
         self.iteration, self.order = 0, []
-        points = scene.points if points is None else points
-        self.parameters = Parameters(self.kind.initial(preset, self.rng, points))
+        self.parameters = Parameters(self.kind.initial(preset, self.rng, scene.points))
         self.adam = Adam(self.parameters)
         self.extent = extent_of(scene.train)
         self.statistics = Statistics.empty(self.count, 1)

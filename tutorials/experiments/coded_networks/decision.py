@@ -49,13 +49,12 @@ def comparisons(found):
 
 
 def table(found):
-    """The lines of the table: the mean over seeds, and over scenes, with the least and the most."""
+    """The lines of the table: the mean over seeds with the least and the most."""
     forms = {"bytes": ",.0f", "times": ".3f", "gain": "+.2f", "deformation_bytes": ",.0f"}
     lines = [("price of a bit", "scene", "bytes", "of the paper's", "dB", "psi_d, bytes")]
-    compared = [*comparisons(found)]
-    groups = group_rows(compared, "lambda_rate", "scene") | group_rows(compared, "lambda_rate")
-    for (price, *scene), own in groups.items():
-        lines.append([f"{price:g}", *(scene or ["all"])])
+    groups = group_rows(comparisons(found), "lambda_rate", "scene")
+    for (price, scene), own in groups.items():
+        lines.append([f"{price:g}", scene])
         for name, form in forms.items():
             each = [row[name] for row in own]
             values = (f"{value:{form}}" for value in (np.mean(each), min(each), max(each)))

@@ -7,12 +7,12 @@ import numpy as np
 from p4dgs_ref.model import Model, bounding_box
 from p4dgs_ref.training import trainer
 from p4dgs_ref.training.parameters import Adam, Parameters, learning_rate_at
-from p4dgs_ref.training.presets import TINY
 
 from .networks import Layout, initial_log_steps, learned_steps, rounded_networks
 from .positions import snap
 
 NETWORK_RAMP = 1000  # iterations of stage 4 until networks pay fully
+POSITION_BITS = 10  # per axis
 LR_STEP = 0.02, 0.002  # learning rates of the logarithms of steps, first and last
 
 
@@ -27,8 +27,7 @@ class CodedModel(Model):
 class Trainer(trainer.Trainer):
     """Fits one scene by a preset of the paper."""
 
-    def __init__(self, scene, preset=TINY, seed=0, position_bits=10):
-        self.position_bits = position_bits
+    def __init__(self, scene, preset, seed=0):
         super().__init__(scene, preset, seed)
         log_step = initial_log_steps(self.networks)  # one for each tensor of a network
         self.adopt(Parameters({**self.parameters.arrays, "log_step": log_step}))
@@ -55,7 +54,7 @@ class Trainer(trainer.Trainer):
         if not self.box:
             self.box = bounding_box(p["x_a"])
             p["log_step"][...] = initial_log_steps(self.networks)
-        p["x_a"][...] = snap(p["x_a"], *self.box, self.position_bits)[1]
+        p["x_a"][...] = snap(p["x_a"], *self.box, POSITION_BITS)[1]
         super().freeze_positions()
 
     def gradients_of(self, view):
@@ -85,4 +84,4 @@ class Trainer(trainer.Trainer):
         """The model as it is now, before rounding."""
         model = super().model()
         steps = learned_steps(self.parameters["log_step"], model.networks)
-        return CodedModel(**vars(model), steps=steps, position_bits=self.position_bits)
+        return CodedModel(**vars(model), steps=steps, position_bits=POSITION_BITS)

@@ -55,14 +55,14 @@ MAX_STEPS = 2**15 - 1  # magnitude of a weight that is coded in steps
 KNOWN_COSTS = 1024  # magnitudes whose cost the encoder knows; larger ones cost as the largest
 
 
-def round_networks(model):
-    """The networks with all numbers rounded to multiples of their steps, as a decoder has them.
+def round_networks(networks, steps):
+    """Networks with all numbers rounded to multiples of their steps, as a decoder has them.
 
     Raises EncodeError, which names the network.
     """
     rounded = {}
-    for name, pair in model.networks.items():
-        parts = zip(pair, model.steps[name])
+    for name, pair in networks.items():
+        parts = zip(pair, steps[name])
         rounded[name] = tuple([round_weights(a, s) for a, s in zip(*part)] for part in parts)
         require_finite(name, rounded[name], f"of at most {MAX_STEPS} steps")
     return rounded

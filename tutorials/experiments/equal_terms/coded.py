@@ -36,6 +36,7 @@ from p4dgs_ref.model import unsnap
 from p4dgs_ref.splatting.settings import FAST
 from p4dgs_ref.training.parameters import Parameters
 
+from ..baselines import model_of
 from ..coded_networks import positions, weights
 from ..coded_networks.networks import step_code, step_of_code
 from .half import join, split
@@ -164,7 +165,7 @@ def units(stored, lengths):
 
 # --- decoder --------------------------------------------------------------------------------------
 def decode(data):
-    """The Parameters in a file, and what it says about them."""
+    """The model in a file."""
     values, parts = split(data)
     count = values["count"]
     rows = {n: (count, *shape) for n, shape in values["rows"].items() if n != "normals"}
@@ -179,7 +180,7 @@ def decode(data):
         p.fill(name, {"weights": W, "biases": b})
     if "box" in p.arrays:
         p["box"][...] = np.frombuffer(parts["box"], "<f4").reshape(2, 3)
-    return p, values
+    return model_of(p, values)
 
 
 def read_groups(data, groups):

@@ -80,13 +80,7 @@ def encode(model, H, loss):
     places, x_a = positions.snap(model.anchors.x_a, *model.box, bits)
     order = positions.codes_of(places, model.box, bits).argsort(kind="stable")
     anchors = Anchors(*(array[order] for array in model.anchors._replace(x_a=x_a)))
-    networks = {
-        name: tuple(
-            [weights.round_weights(*of_layer) for of_layer in zip(*parts)] for parts in both
-        )
-        for name, network in model.networks.items()
-        for both in [zip(network, steps[name])]
-    }
+    networks = weights.round_networks(model.networks, steps)
     rounded = replace(model, anchors=anchors, networks=networks)
     quantised = quantise_attributes(rounded, places[order])
     sections = sections_of(quantised)

@@ -17,11 +17,11 @@ import numpy as np
 from p4dgs_ref.lab.writer import fill_form, read_csv
 from p4dgs_ref.scenes import load_scene
 
-from .. import RECORDS, baselines
+from .. import RECORDS
 from ..tables.methods import PAPERS, columns, task_of
-from ..tables.rows import KEY, TEXTS
+from ..tables.rows import TEXTS, keyed
 from ..tables.validation import held_back
-from ..tables.writer import best, factors, points_of
+from ..tables.writer import best, factors, means
 from . import coded, coded_anchors, half
 
 SCENES = ("bouncing", "figure", "glossy")
@@ -98,7 +98,7 @@ def files_of(stored, losses=LOSSES):
 
 def half_of(stored):
     """The Task of a float16 file."""
-    again = dict(make=write_half, load=load_half, ending="half", source=stored)
+    again = dict(make=write_half, load=half.decode, ending="half", source=stored)
     return stored._replace(name=f"{stored.label} {HALF}", **again)
 
 
@@ -107,7 +107,7 @@ def alike_of(stored, loss):
     is_papers = stored.method == PAPERS
     return stored._replace(
         make=partial(write_alike, loss=loss),
-        load=load_anchors if is_papers else load_explicit,
+        load=coded_anchors.decode if is_papers else coded.decode,
         ending="anchors" if is_papers else "coded",
         name=f"{stored.label} loss={loss:g}",
         source=stored,
@@ -134,30 +134,14 @@ def write_half(task, path, source):
 
 def seconds_of(task):
     """How long the training took, as the record has it."""
-    row = recorded("curve").get(task.training)
+    row = recorded().get(task.training)
     return {"train_seconds": row["train_seconds"]} if row else {}
 
 
-def load_anchors(path):
-    """The model in a file of the paper's design coded alike."""
-    return coded_anchors.decode(path.read_bytes())
-
-
-def load_explicit(path):
-    """The model in a file of an explicit method coded alike."""
-    return baselines.model_of(*coded.decode(path.read_bytes()))
-
-
-def load_half(path):
-    """The model in a float16 file."""
-    return baselines.model_of(*half.decode(path.read_bytes()))
-
-
 @cache
-def recorded(name):
-    """The rows of a record by their keys."""
-    rows = read_csv(RECORDS / f"{name}.csv", TEXTS)
-    return {tuple(row[column] for column in KEY): row for row in rows}
+def recorded():
+    """The rows of the record by their keys."""
+    return keyed(read_csv(RECORDS / "curve.csv", TEXTS))
 
 
 # --- the curves -----------------------------------------------------------------------------------
@@ -179,10 +163,11 @@ def chosen(rows, **wanted):
 
 def curve_of(rows):
     """The best points (bytes, PSNR) of one method and storage, means over scenes and seeds."""
-    return [(point["bytes"], point["psnr_db"]) for point in best(points_of(rows))]
+    points = means(rows, "label", "iterations", "method", "storage")
+    return [(point["bytes"], point["psnr_db"]) for point in best(points)]
 
 
-def compare(rows, storage, scenes=(MEAN, *SCENES)):
+def compare(rows, storage):
     """How many times the bytes of the paper's design D3DGS needs at equal PSNR, by scene.
 
     Both have networks of one size. Every seed has its curves, its range of PSNRs that both reach,
@@ -190,7 +175,7 @@ def compare(rows, storage, scenes=(MEAN, *SCENES)):
     difference whose seeds lie on both sides of 1 is none.
     """
     found = []
-    for scene in scenes:
+    for scene in (MEAN, *SCENES):
         own = rows if scene == MEAN else chosen(rows, scene=scene)
         ours = chosen(own, method=PAPERS, storage=storage)
         theirs = chosen(own, method="d3dgs_small", storage=storage)
@@ -200,8 +185,8 @@ def compare(rows, storage, scenes=(MEAN, *SCENES)):
         if each and all(each):
             medians = [one["median"] for one in each]
             first, last = min(medians), max(medians)
-            row = dict(scene=scene, storage=storage, each=each, first=first, last=last)
-            row["median"] = float(np.median(medians))
+            row = dict(scene=scene, storage=storage, each=each)
+            row["median"] = np.median(medians)
             row["verdict"] = "none" if first <= 1 <= last else "fewer" if last < 1 else "more"
             row["cells"] = [OF_SEED.format(**one) for one in each]
             found.append(row)

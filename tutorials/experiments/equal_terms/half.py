@@ -14,7 +14,7 @@ import numpy as np
 
 from p4dgs_ref.training.parameters import Parameters
 
-from ..baselines import explicit
+from ..baselines import explicit, model_of
 
 
 def encode(model):
@@ -29,10 +29,10 @@ def encode(model):
 
 
 def decode(data):
-    """The Parameters in a file, and what it says about them."""
+    """The model in a file."""
     values, parts = split(data)
     numbers = np.frombuffer(parts["numbers"], "<f2").astype(np.float32)
-    return Parameters(explicit.split(numbers, values["shapes"])), values
+    return model_of(Parameters(explicit.split(numbers, values["shapes"])), values)
 
 
 def join(values, parts):

@@ -42,7 +42,7 @@ def draw(rows, path):
     for (method, storage), (name, color) in CURVES.items():
         points = curve_of(chosen(rows, method=method, storage=storage))
         full = "none" if storage == ALIKE else "full"
-        look = dict(color=color, markersize=6, fillstyle=full, label=name if len(points) else "")
+        look = dict(color=color, markersize=6, fillstyle=full, label=name)
         top.semilogx(*zip(*points), "o-", **look)
     top.set(ylabel="PSNR of test views here (dB)", ylim=(31, 37.5))
     top.legend(loc="lower right", frameon=False, fontsize=10)

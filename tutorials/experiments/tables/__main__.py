@@ -12,7 +12,6 @@ from . import ablate, effects, likelihood, training  # noqa: E402
 from .rows import Parser, count, rows, run  # noqa: E402
 
 TABLES = {"ablate": ablate, "training": training, "effects": effects, "likelihood": likelihood}
-QUICK = {"seeds": 1, "iterations": 100}
 
 
 def main(words):
@@ -23,15 +22,12 @@ def main(words):
     parser.add_argument("--seeds", type=count, default=3)
     parser.add_argument("--iterations", type=count)
     parser.add_argument("--anchors", type=count, help="ablate: + spatial prediction with so many")
-    parser.add_argument("--quick", action="store_true", help="one seed, 100 iterations: a look")
     parser.of_rows("report/tables")
     options = parser.parse_args(words)
     table, scene = TABLES[options.table], load_scene(options.scene)
-    seeds, iterations = options.seeds, options.iterations or table.ITERATIONS
-    if options.quick:
-        seeds, iterations = QUICK.values()
+    iterations = options.iterations or table.ITERATIONS
     more = [options.anchors] if options.anchors and table is ablate else []
-    tasks = table.plan(scene, seeds, iterations, *more)
+    tasks = table.plan(scene, options.seeds, iterations, *more)
     found = rows(tasks, options.table, options.folder, options.jobs)
     table.show(scene, tasks, found)
 

@@ -13,6 +13,8 @@ time is left out of the paper's whole method.
 
 from ast import literal_eval
 from dataclasses import replace
+from functools import partial
+from io import BytesIO
 
 import numpy as np
 
@@ -24,19 +26,20 @@ from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.trainer import Trainer
 
 from ..baselines import d3dgs
+from ..baselines.explicit import of_network
 from . import spatial
 from .methods import PAPERS, columns, preset_of, save, task_of
-from .writer import means, seeds_of, with_error
+from .writer import means, with_error
 
 ITERATIONS = 6500
 SPATIAL = "+ spatial prediction"
 NETWORK, WHOLE = "+ compact deformation MLP", "+ quantisation and entropy coding"
-# The paper's Table 3, on T-Rex: MB, PSNR, and what a step changes of them, in percent and dB.
+# The paper's Table 3, on T-Rex: MB, PSNR, and what a step changes of it in dB.
 PAPER = {
     "D3DGS": "56.70 38.04",
-    SPATIAL: "7.27 38.36 -87.1 +0.32",
-    NETWORK: "5.39 38.34 -25.8 -0.02",
-    WHOLE: "0.85 38.24 -84.1 -0.10",
+    SPATIAL: "7.27 38.36 +0.32",
+    NETWORK: "5.39 38.34 -0.02",
+    WHOLE: "0.85 38.24 -0.10",
 }
 AFTER_LAST = TINY.iterations  # later than every iteration
 WITHOUT_RATE = {  # stage 3 goes on to the end, and the noise is too small to change anything
@@ -66,10 +69,9 @@ COLUMNS = {
     "network": "{network_bytes:,.0f}",
     "Gaussians": "{gaussians_bytes:,.0f}",
     "drawn": "{gaussians:,.0f}",
-    "PSNR dB": "{psnr_db:.2f} ±{psnr_db_spread:.2f}",
-    "change %": "{percent}",
-    "dB": "{gain}",
-    "the paper's MB, PSNR, %, dB (T-Rex)": "{paper}",
+    "PSNR dB": "{psnr_db:.2f}",
+    "change dB": "{gain}",
+    "the paper's MB, PSNR, change dB (T-Rex)": "{paper}",
 }
 
 
@@ -91,7 +93,8 @@ def plan(scene, seeds, iterations, anchors=None):
             if "stage_ends" in changes:
                 task = task._replace(make=make_plain, load=load_plain, ending="npy")
             if name.startswith(SPATIAL):
-                task = task._replace(make=make_spatial, load=load_spatial)
+                make = partial(make_plain, trainer=spatial.Trainer)
+                task = task._replace(make=make, load=load_spatial)
             if name == "fixed step":
                 task = task._replace(make=make_without_psi_q)
             if name == "no deformation":
@@ -111,19 +114,15 @@ def make_without_psi_q(task, path, source=None):
 
 def show(scene, tasks, found):
     """Print Table 3 in form with the paper's numbers beside it, then the parts left out."""
-    print(
-        f"{scene.name}; {tasks[0].iterations:,} iterations; {seeds_of(found)}. Changes are against"
-    )
-    print("the step before, those of parts left out against the paper's whole method. A change is")
-    print(
-        "none where it is smaller than twice its standard error over the seeds. psi_q stays in the"
-    )
-    print("file of `fixed step`; `global prior` has one node of the grid.")
+    print(f"{scene.name}; {tasks[0].iterations:,} iterations. Changes are against the step before,")
+    print("those of parts left out against the paper's whole method. A change is none where it is")
+    print("smaller than twice its standard error over the seeds. psi_q stays in the file of `fixed")
+    print("step`; `global prior` has one node of the grid.")
     print(*text_table(COLUMNS, summaries(found)), sep="\n")
 
 
 def summaries(found):
-    """Means over seeds, with what a step changes in percent of the bytes and in dB."""
+    """Means over seeds, with what a step changes in dB."""
     of_steps = {label: rows for (label,), rows in group_rows(found, "label").items()}
     names = [*PAPER]
     before = dict(zip(names[1:], names))
@@ -132,8 +131,7 @@ def summaries(found):
         name = row["label"]
         row["paper"] = PAPER.get(name, "-")
         if name != names[0]:
-            pairs = [*zip(of_steps[name], of_steps[before.get(name, WHOLE)])]
-            row["percent"] = with_error([100 * (a["bytes"] / b["bytes"] - 1) for a, b in pairs])
+            pairs = zip(of_steps[name], of_steps[before.get(name, WHOLE)])
             row["gain"] = with_error([a["psnr_db"] - b["psnr_db"] for a, b in pairs])
         yield row
 
@@ -142,26 +140,14 @@ def summaries(found):
 # A model of anchors without quantisation and entropy coding: one record of NumPy, whose fields are
 # the arrays, in float32, or float16 for a compact psi_d. Every child of an anchor is stored, as in
 # Scaffold-GS; the networks and the grid of the entropy coder are not.
-def make_plain(task, path, source=None):
+def make_plain(task, path, source=None, trainer=Trainer):
     """Train and write such a file; returns its bytes by kind."""
-    return write_plain(Trainer(task.scene, preset_of(task), task.seed).run(), task, path)
-
-
-def make_spatial(task, path, source=None):
-    """The same with the authors' network."""
-    return write_plain(spatial.Trainer(task.scene, preset_of(task), task.seed).run(), task, path)
-
-
-def write_plain(model, task, path):
-    """Write the file of a model; returns its bytes by kind."""
+    model = trainer(task.scene, preset_of(task), task.seed).run()
     gaussians = {name: a for name, a in model.anchors._asdict().items() if name != "mask"}
-    network = {
-        f"{name}.{kind}{i}": a
-        for name, layers in model.networks.items()
-        if name not in CONTEXT_NETWORKS
-        for kind, arrays in zip("Wb", layers)
-        for i, a in enumerate(arrays)
-    }
+    network = {}
+    for name, layers in model.networks.items():
+        if name not in CONTEXT_NETWORKS:
+            network |= of_network(name, *layers)
     values = {**gaussians, **network, "background": model.background}
     half = "psi_d." if task.label == NETWORK else "none"
     types = [(n, "f2" if n.startswith(half) else "f4", a.shape) for n, a in values.items()]
@@ -174,9 +160,9 @@ def write_plain(model, task, path):
     return columns(gaussians=anchors, network=weights, other=size - anchors - weights)
 
 
-def load_plain(path):
+def load_plain(data):
     """The model in such a file, ready to be rendered."""
-    record = np.load(path)
+    record = np.load(BytesIO(data))
     *names, _ = record.dtype.names
     p = Parameters({name: record[name] for name in names}, float)
     design = Design(**literal_eval(record["design"].item().decode()))
@@ -187,6 +173,6 @@ def load_plain(path):
     return Model(design, anchors, networks, [], bounding_box(anchors.x_a), p["background"])
 
 
-def load_spatial(path):
+def load_spatial(data):
     """The same of anchors that the authors' network moves."""
-    return spatial.MovedAnchors(**vars(load_plain(path)))
+    return spatial.MovedAnchors(**vars(load_plain(data)))

@@ -48,14 +48,14 @@ def summaries(found, empty):
         gain = with_error(np.subtract(reached, of[AS_LISTED]))
         if nothing:
             gain = f"draws nothing ({nothing} of {len(reached)})"
-        row = {"label": label, "low": min(reached), "high": max(reached)}
-        yield {**row, "gain": "-" if label == AS_LISTED else gain}
+        gain = "-" if label == AS_LISTED else gain
+        yield {"label": label, "low": min(reached), "high": max(reached), "gain": gain}
 
 
 def psnr_of_nothing(scene):
     """The mean PSNR of the test views in dB where only the background is drawn."""
     errors = [np.mean((view.image - scene.background) ** 2) for view in scene.test]
-    return float(np.mean(-10 * np.log10(errors)))
+    return np.mean(-10 * np.log10(errors))
 
 
 def show(scene, tasks, found):

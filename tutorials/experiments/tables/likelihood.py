@@ -5,10 +5,10 @@ All else is as in the package, whose own form is the row of `training` with as m
 
 import copy
 from contextlib import suppress
-from functools import partial
 
 import numpy as np
 
+from p4dgs_ref.codec.file import decode
 from p4dgs_ref.equations import likelihood
 from p4dgs_ref.lab.accuracy.formulas import as_printed, with_floor
 from p4dgs_ref.lab.writer import text_table
@@ -17,7 +17,7 @@ from p4dgs_ref.training import objective, trainer
 from p4dgs_ref.training.presets import TINY
 from p4dgs_ref.training.watch import NotFinite
 
-from .methods import load, preset_of, save
+from .methods import preset_of, save
 from .rows import Task
 
 ITERATIONS = TINY.iterations
@@ -83,10 +83,10 @@ class Trainer(trainer.Trainer):
         gradients.vector += more.vector
 
 
-def make(form, task, path, source=None):
+def make(task, path, source=None):
     """Train with a form as far as it goes, and write the file of what it has reached."""
     trainer = Trainer(task.scene, preset_of(task), task.seed)
-    trainer.form = FORMS[form]
+    trainer.form = FORMS[task.method]
     return {**save(trainer, path), "ended": trainer.iteration}
 
 
@@ -95,7 +95,7 @@ def plan(scene, seeds, iterations):
     command = f"python -m tutorials.experiments.tables likelihood {scene.name}"
     command += f" --seeds {seeds} --iterations {iterations}"
     return [
-        Task(scene, form, seed, iterations, partial(make, form), load, "p4dgs", command)
+        Task(scene, form, seed, iterations, make, decode, "p4dgs", command)
         for seed in range(seeds)
         for form in FORMS
     ]

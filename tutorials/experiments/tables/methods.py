@@ -76,16 +76,6 @@ def columns(**sizes):
     return {f"{kind}_bytes": size for kind, size in sizes.items()}
 
 
-def load(path):
-    """The model in a file of the paper's design."""
-    return decode(path.read_bytes())
-
-
-def load_coded(path):
-    """The model in a file with coded networks."""
-    return file.decode(path.read_bytes())
-
-
 def make_baseline(task, path, source=None):
     """Train a baseline, which grows to as many Gaussians as it has at first, and write its file."""
     module, preset = baselines.METHODS[task.method]
@@ -95,9 +85,9 @@ def make_baseline(task, path, source=None):
 
 
 METHODS = {
-    PAPERS: (make, load, "p4dgs"),
-    CODED: (make_coded, load_coded, "p4dgs"),
-    **dict.fromkeys(baselines.METHODS, (make_baseline, baselines.load, "ply")),
+    PAPERS: (make, decode, "p4dgs"),
+    CODED: (make_coded, file.decode, "p4dgs"),
+    **dict.fromkeys(baselines.METHODS, (make_baseline, baselines.decode, "ply")),
 }
 
 

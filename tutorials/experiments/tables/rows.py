@@ -5,7 +5,7 @@
         path.write_bytes(encode(model))
         return {"network_bytes": 9085}
 
-    task = Task(scene, "p4dgs", 0, 3800, make, load, "p4dgs", "python -m ...")
+    task = Task(scene, "p4dgs", 0, 3800, make, decode, "p4dgs", "python -m ...")
     rows([task], "curve", Path("report/curve"), jobs=2)
 
 What a record in `records/` or `curve.csv` in the folder has already is not made again. All rows of
@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 from p4dgs_ref import output
 from p4dgs_ref.arithmetic import arithmetic
+from p4dgs_ref.cli.parser import number_in_range
 from p4dgs_ref.lab.processes import in_processes
 from p4dgs_ref.lab.writer import read_csv
 from p4dgs_ref.report.evaluate import evaluate
@@ -53,7 +54,7 @@ class Task(NamedTuple):
     seed: int
     iterations: int
     make: Callable  # make(task, path, source) writes the file and returns further columns
-    load: Callable  # load(path) returns the model in the file
+    load: Callable  # load(data) returns the model in the bytes of a file
     ending: str  # of the file's name
     command: str  # what makes the row
     changes: dict[str, Any] = {}  # of the method's preset
@@ -134,8 +135,8 @@ def make_row(task, folder):
     """
     start = time.process_time()
     columns = write(task, folder)
-    seconds, path = time.process_time() - start, folder / task.file
-    model, data = task.load(path), path.read_bytes()
+    seconds, data = time.process_time() - start, (folder / task.file).read_bytes()
+    model = task.load(data)
     metrics, _, _ = evaluate(model, task.scene)
     choice, _, _ = evaluate(model, replace(task.scene, test=held_back(task.scene)))
     del metrics["render_fps"]
@@ -166,10 +167,13 @@ def model_of(task, folder):
     """The model in the file of a task, which is made where it is missing."""
     if not (folder / task.file).exists():
         write(task, folder)
-    return task.load(folder / task.file)
+    return task.load((folder / task.file).read_bytes())
 
 
 # --- the command line of an experiment ------------------------------------------------------------
+count = number_in_range(int, 1, 1e9)
+
+
 class Parser(argparse.ArgumentParser):
     """argparse with its errors in one line."""
 
@@ -181,13 +185,6 @@ class Parser(argparse.ArgumentParser):
         """Add the options of what makes rows in a folder."""
         self.add_argument("-o", dest="folder", type=Path, default=Path(folder), metavar="FOLDER")
         self.add_argument("--jobs", type=count, default=1, help="processes")
-
-
-def count(text):
-    """A whole number from 1 on."""
-    if not re.fullmatch(r"0*[1-9]\d{0,8}", text):
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 on, got {text!r}")
-    return int(text)
 
 
 def run(function, *arguments):

@@ -28,7 +28,7 @@ def move(design, networks, g, t):
 
     def back(x_bar, s_bar, r_bar):
         bars = back_deformed(x_bar, s_bar, r_bar)
-        psi = back_psi(*(bars[f"delta_{name}"] for name in "xsr"), needs_x=False)
+        psi = back_psi(*(bars[f"delta_{name}"] for name in "xsr"))
         psi_t = {"weights": psi["time_weights"], "biases": psi["time_biases"]}
         return bars["x"], bars["s"], bars["r"], {"psi_d": psi, "psi_t": psi_t}
 
@@ -49,9 +49,7 @@ class Trainer(trainer.Trainer):
 
     def __init__(self, scene, preset, seed=0):
         super().__init__(scene, preset, seed)
-        as_here = {name: getattr(preset, name) for name in ("L_x", "L_t", "deformation_gain")}
-        authors = d3dgs.Preset(**as_here)
-        networks = d3dgs.random_networks(authors, fx.heads(scene.effects), self.rng)
+        networks = d3dgs.random_networks(d3dgs.Preset(), fx.heads(scene.effects), self.rng)
         self.adopt(Parameters({**self.parameters.arrays, **networks}))
         self.adam = Adam(self.parameters)
 

@@ -44,10 +44,9 @@ def summaries(found):
         lost = np.subtract(longest, reached)
         yield {
             "iterations": n,
-            "seconds": float(np.median([row["train_seconds"] for row in rows])),
-            "psnr_db": float(np.mean(reached)),
-            "bytes": float(np.mean([row["bytes"] for row in rows])),
-            "lost": float(np.mean(lost)),
+            "seconds": np.median([row["train_seconds"] for row in rows]),
+            "psnr_db": np.mean(reached),
+            "bytes": np.mean([row["bytes"] for row in rows]),
             "less": "-" if n == max(of) else with_error(lost),
         }
 

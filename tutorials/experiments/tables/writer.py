@@ -13,8 +13,7 @@ from p4dgs_ref.lab.writer import group_rows
 def means(rows, *keys):
     """The means over scenes and seeds of the rows that agree in the keys; one row for each.
 
-    A field that ends in `_spread` is half the range of the means of each seed. Fields that are no
-    numbers, or that some row lacks, are left out.
+    All seeds count alike. Fields that are no numbers, or that some row lacks, are left out.
     """
     result = []
     for values, group in group_rows(rows, *keys).items():
@@ -24,19 +23,8 @@ def means(rows, *keys):
             is_numeric = all(isinstance(row.get(name), (int, float)) for row in group)
             if is_numeric and name not in (*keys, "seed"):
                 each = [np.mean([row[name] for row in group if row["seed"] == s]) for s in seeds]
-                result[-1][name] = float(np.mean(each))
-                result[-1][f"{name}_spread"] = float(np.ptp(each) / 2)
+                result[-1][name] = np.mean(each)
     return result
-
-
-def points_of(rows):
-    """The means of the points over scenes and seeds."""
-    return means(rows, "label", "iterations", "method", "storage")
-
-
-def seeds_of(rows):
-    """How many seeds there are, and what ± means."""
-    return f"seeds: {len({row['seed'] for row in rows})}, ± half their range"
 
 
 def best(points):
@@ -61,14 +49,14 @@ def factors(points, others):
         "low": min(ratios),
         "high": max(ratios),
         "points": len(ratios),
-        "median": float(np.median([*ratios.values()])),
+        "median": np.median([*ratios.values()]),
     }
 
 
 def bytes_at(points, psnr):
     """The bytes at which a curve has a PSNR; NaN where it was not measured."""
     sizes, values = np.array(sorted(points, key=lambda point: point[1])).T
-    return float(np.exp(np.interp(psnr, values, np.log(sizes), np.nan, np.nan)))
+    return np.exp(np.interp(psnr, values, np.log(sizes), np.nan, np.nan))
 
 
 def with_error(differences):
