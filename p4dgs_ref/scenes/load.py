@@ -32,10 +32,10 @@ def load_scene(
     of the images: pixels are averaged in boxes, and less than a box at the right and below is cut
     off. `progress(done, total)` is called before every picture. A scene.json in the folder may list
     the scene's `effects`; without that list a scene has all of the model's, or none of motion if no
-    picture has a time. `dnerf` and `hypernerf` describe the layouts that are read. Raises SceneError with one line that names the
-    file, the field and what was expected. Warns, once for all pictures, of fields that are not
-    read, of frames without a picture, of orientations in EXIF, of colours that look as if they were
-    multiplied by alpha, and if no picture has a time.
+    picture has a time. `dnerf` and `hypernerf` describe the layouts that are read. Raises
+    SceneError with one line that names the file, the field and what was expected. Warns, once for
+    all pictures, of fields that are not read, of frames without a picture, of orientations in EXIF,
+    of colours that look as if they were multiplied by alpha, and if no picture has a time.
     """
     return find_views(path, background, downscale).read(progress)
 
