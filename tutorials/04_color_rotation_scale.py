@@ -307,21 +307,11 @@ assert close(rounded / exact, 1.025)
 
 # %% [markdown]
 # ## What this idea buys
-# The picture is that of `01_offsets`: four networks and a feature take the place of 59 numbers for
-# each Gaussian. In the paper the networks of anchors and context together are 0.038 of 0.857 MB
-# (Table 4). Here they are larger than all anchors, because only 199 anchors share them; in the
-# paper some 20,000 do (their positions have 0.12 MB, at 6 bytes each).
-
-# %%
-from tutorials import gains
-
-gains.show(
-    "04_color_rotation_scale",
-    {"free Gaussians": "D3DGS", "anchors": "+ spatial prediction"},
-    {"free Gaussians": (56.7, "38.04 dB"), "anchors": (7.27, "38.36 dB")},
-)
-
-# %% [markdown]
+# The bars at the end of `01_offsets` show what this idea gains, too: four networks and a feature
+# take the place of 59 numbers for each Gaussian. In the paper the networks of anchors and context
+# together are 0.038 of 0.857 MB (Table 4). Here they are larger than all anchors, because only 199
+# anchors share them; in the paper some 20,000 do (their positions have 0.12 MB, at 6 bytes each).
+#
 # **In short**
 # - The sigmoid keeps colours between black and white, and children smaller than their anchor.
 # - Rotations are directions in four dimensions; gradients along the quaternion are removed.
