@@ -14,7 +14,6 @@ import numpy as np
 
 from . import shared
 
-SEEDS = 0, 1, 2
 PATH = shared.FOLDER / "00_whole_paper.py"
 
 
@@ -68,7 +67,7 @@ def designs(whole, seed):
 def table(whole):
     """Return the rows as Markdown: means over seeds, and ranges over seeds."""
     lines = []
-    for rows in zip(*(designs(whole, seed) for seed in SEEDS)):
+    for rows in zip(*(designs(whole, seed) for seed in range(3))):
         (name, *_), (_, dB, size, N, networks) = rows[0], map(np.array, zip(*rows))
         spread = f"{dB.min():.1f} to {dB.max():.1f} | {size.min():,.0f} to {size.max():,.0f}"
         sizes = f"{(size / N).mean():.1f} | {(size + networks).mean():,.0f}"
