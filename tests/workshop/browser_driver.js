@@ -157,7 +157,7 @@
     const box = $("stage").getBoundingClientRect();
     const middle = [box.left + box.width / 2, box.top + box.height / 2];
     const [clientX, clientY] = middle;
-    const pointer = { pointerId: 1, clientX, clientY, bubbles: true };
+    const pointer = { pointerId: 1, buttons: 1, clientX, clientY, bubbles: true };
     $("stage").setPointerCapture = () => {}; // there is no such pointer
     const send = (name, more) =>
       $("stage").dispatchEvent(new PointerEvent(name, { ...pointer, ...more }));
@@ -239,7 +239,7 @@
     const before = $("pixel").innerText;
     const box = $("stage").getBoundingClientRect();
     const [clientX, clientY] = [box.left + box.width / 3, box.top + box.height / 2];
-    const pointer = { pointerId: 1, clientX, clientY, bubbles: true };
+    const pointer = { pointerId: 1, buttons: 1, clientX, clientY, bubbles: true };
     $("stage").setPointerCapture = () => {}; // there is no such pointer
     for (const name of ["pointerdown", "pointerup"]) {
       $("stage").dispatchEvent(new PointerEvent(name, pointer));
