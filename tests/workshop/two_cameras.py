@@ -88,7 +88,7 @@ def lens_of(camera):
 def surface(description, camera):
     """Points [POINTS, 3] at which rays of a camera first meet a body at the time 0."""
     viewer, directions = camera.center, rays(camera)
-    where = poses(description.bodies, description.effects, 0.0, viewer)
+    where = poses(description.bodies, description.effects, 0.0)
     hits = [hit(body, where[body.name], viewer, directions) for body in description.bodies]
     depth = np.min(hits, axis=0)
     met = np.flatnonzero(np.isfinite(depth))

@@ -8,7 +8,8 @@ It draws the effects that the description lists. An effect that is not listed is
     specular                          a Phong highlight
     view_color                        the highlight moves with the viewer; otherwise it is drawn as
                                       seen from straight above
-    view_geometry                     bodies with `faces_camera` turn to the viewer
+    view_geometry                     nothing: bodies keep their shape from every side, and only the
+                                      Gaussians of a model may change theirs
     occlusion                         the nearest surface hides the others; otherwise their light
                                       adds up
     background                        rays that hit nothing have alpha 0; otherwise they are black
