@@ -5,6 +5,7 @@ outside of the file and leads to the tables of integers that a decoder needs. It
 a picture is drawn from what was decoded.
 """
 
+import sys
 from importlib import import_module
 from pathlib import Path
 from textwrap import fill
@@ -47,4 +48,7 @@ def page():
 
 
 if __name__ == "__main__":
+    if sys.flags.optimize > 1:  # Python has removed the docstrings
+        sys.stderr.write("the page consists of docstrings; expected Python without -OO\n")
+        sys.exit(2)
     print(page(), end="")

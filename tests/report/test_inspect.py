@@ -101,3 +101,9 @@ def test_blocks_of_anchors_have_the_bits_of_all_at_once(data, monkeypatch):
     assert len(inspect.blocks_of(q)) == len(q.symbols) > 1
     for name, bits in inspect.attribute_bits(q).items():
         assert np.allclose(bits, whole[name], rtol=1e-12, atol=0), name
+
+
+def test_a_page_of_docstrings_needs_docstrings():
+    printed = processes.run("-OO", "-m", "p4dgs_ref.codec")
+    assert (printed.returncode, printed.stdout) == (2, "")
+    assert printed.stderr == "the page consists of docstrings; expected Python without -OO\n"
