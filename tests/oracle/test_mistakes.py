@@ -45,4 +45,4 @@ def test_the_data_of_the_doctor_are_of_these_mistakes():
     assert [tuple(row.get("noisy", ())) for row in rows] == [m.noisy for m in MISTAKES]
     files = {f"{mistake.subject}.safetensors.gz" for mistake in MISTAKES}
     assert {file.name for file in doctor.FOLDER.iterdir()} == {*files, "mistakes.json"}
-    assert sum(file.stat().st_size for file in doctor.FOLDER.iterdir()) < 1_600_000
+    assert sum(file.stat().st_size for file in doctor.FOLDER.iterdir()) < 1_450_000
