@@ -220,7 +220,7 @@ def prediction(figure, file, cameras, t, anchor):
     """The feature of an anchor of a Quantised model, and its Gaussians from {side: camera}."""
     feature, *sides = figure.subplots(1, 1 + len(cameras))
     symbols = file.symbols[anchor, : file.model.design.d]
-    feature.barh(-np.arange(len(symbols)), symbols, color=SPACE)
+    feature.barh(-np.arange(len(symbols)), symbols, color=PARTS["feature"])
     feature.set(title=f"one feature: {len(symbols)} integers", xlabel="integer", yticks=())
     feature.locator_params(axis="x", integer=True)
     for ax, (side, camera) in zip(sides, cameras.items()):

@@ -185,8 +185,7 @@ def bits(figure):
         align = "bottom" if price < 4 else "top"
         ax.text(len(data) + 200, quality, f"λ × {price}", va=align)
     ax.set(title="trainings with other λ", xlabel="bytes", ylabel="PSNR (dB)")
-    ax.set(xlim=(35500, 50000), ylim=(26, 35.5))
-    ax.set(xticks=range(36000, 50000, 4000), yticks=range(28, 36, 2))
+    ax.set(xlim=(35500, 50000), xticks=range(36000, 50000, 4000), ylim=(26, 35.5))
 
 
 def breaks(figure):
