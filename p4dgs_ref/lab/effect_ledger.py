@@ -146,7 +146,7 @@ def answer(ledger):
 def draw_ledger(path, ledger):
     """Draw work and bytes of every effect.
 
-    Those that the scene does not list are at zero; in brackets is what they would cost.
+    Those that the scene does not list cost nothing; a hollow bar is what one would cost alone.
     """
     panels = {
         "work": "Work: multiply-adds of a frame",
@@ -155,19 +155,24 @@ def draw_ledger(path, ledger):
     figure, axes = subplots(len(panels), figsize=(4.2, 5.2))
     for ax, (kind, title) in zip(axes, panels.items()):
         for row in ledger["effects"]:
-            ax.barh(row["effect"], row[kind], color=BLUE)
+            size = row.get(f"if_{kind}", row[kind])
+            ax.barh(row["effect"], size, color=BLUE if row["listed"] else "none", edgecolor=BLUE)
             ax.annotate(
                 amount(row, kind),
-                (row[kind], row["effect"]),
+                (size, row["effect"]),
                 (3, 0),
                 textcoords="offset points",
                 va="center",
                 color="black" if row["listed"] else "#606060",
             )
         ax.set_title(title, loc="left", fontweight="bold")
-        ax.set(xticks=[], xlim=(0, 1.8 * max(1, *(row[kind] for row in ledger["effects"]))))
+        ax.margins(x=1.2)
+        ax.set(xticks=[])
         ax.invert_yaxis()
         ax.spines[["top", "right", "bottom"]].set_visible(False)
-    lines = [fill(line, 52) for line in (*answer(ledger), "not listed: 0 (in brackets: if listed)")]
+    lines = [
+        fill(line, 52)
+        for line in (*answer(ledger), "hollow: not listed (in brackets: what it would cost)")
+    ]
     figure.suptitle("\n".join(lines), fontsize=10.5, x=0.02, ha="left")
     save_figure(figure, path)

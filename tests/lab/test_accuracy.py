@@ -107,7 +107,7 @@ def test_a_row_is_compared_with_its_reference():
     text = accuracy.to_text(made_up(stretch=2.5))
     assert "off by 0.01 grey levels" in text and "Disturbed: the wall clock ran 2.5" in text
     # A training step of 1000 / 7**3 ms; the printed form spares 1000 - 1000 / 7.
-    assert "7 times as fast as ours (2.9e+04 % of a training step)" in text
+    assert "7 times as fast as ours (by 2.9e+04 % of a training step)" in text
     assert len(text.split("\n\n")[0].splitlines()) == 1 + 13
 
 

@@ -49,7 +49,7 @@ QUESTIONS = {
         forms.eq_11,
         "ours",
         "as printed",
-        "wrong in {loss:.1f} % of all bins",
+        "wrong in {loss:.1f} % of random bins",
         "wrong (%)",
     ),
     "noise": Question(
@@ -104,7 +104,9 @@ def comparison(row, group):
     factor = other.ms / one.ms
     text = f"{factor:.3g} times as fast" if factor > 1 else f"{1 / factor:.3g} times as slow"
     step = times.get(STEP)
-    share = f" ({100 * abs(other.ms - one.ms) / step.ms:.2g} % of a training step)" if step else ""
+    share = (
+        f" (by {100 * abs(other.ms - one.ms) / step.ms:.2g} % of a training step)" if step else ""
+    )
     return f"{text} as {name}{share}"
 
 

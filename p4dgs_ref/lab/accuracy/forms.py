@@ -100,7 +100,7 @@ def coded(model):
 
 
 def eq_11(model, views):
-    """Return formulas of Eq. (11) on the model's bins, and the share of all bins that is wrong.
+    """Return formulas of Eq. (11) on the model's bins, and the share of random bins that is wrong.
 
     Nearly all bins of a model are within 3 sigma of the mean, where every formula is right. So a
     formula is timed on these, and judged in % of the random bins of its whole domain.
