@@ -242,9 +242,9 @@ assert of_fast[1] < half_step < of_kernel[1]
 # Both sides do no more work than they must, and they take turns.
 #
 # The formula *as printed* takes about half the time of *ours*. Its bits are wrong by more than a
-# tenth, infinite or NaN, in 28.7 % of random bins. A floor under $p$, as other codecs have it, makes
-# them finite, and in 32.4 % of them still wrong. On the bins of the file, all three return the
-# same bits to $10^{-13}$.
+# tenth, infinite or NaN, in 28.7 % of random bins. A floor under $p$, as other codecs have it,
+# makes them finite, and in 32.4 % of them still wrong. On the bins of the file, all three return
+# the same bits to $10^{-13}$.
 
 # %%
 choices = forms.eq_11(tour.MODEL, views)
