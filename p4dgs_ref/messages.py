@@ -1,4 +1,4 @@
-"""What the package says to a person: never more than MAX_MESSAGE characters, whatever it quotes."""
+"""Messages to a person: at most MAX_MESSAGE characters, whatever they quote."""
 
 MAX_MESSAGE = 1000
 
@@ -10,5 +10,5 @@ def shorten(text):
 
 
 def number_of(count, thing):
-    """Return a number of things as text: "1 anchor", "2 anchors"."""
+    """Return a count with its noun: "1 anchor", "2 anchors"."""
     return f"1 {thing}" if count == 1 else f"{count} {thing}s"

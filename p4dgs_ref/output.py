@@ -34,7 +34,7 @@ LOCK = ".p4dgs-lock"  # a file in a locked folder, if the folder itself cannot b
 
 
 class OutputError(ValueError):
-    """A place that cannot be written to: one line that names it and what was expected."""
+    """A path that cannot be written to: one line that names it and what was expected."""
 
 
 @contextmanager
@@ -50,7 +50,7 @@ def locked(folder):
             lock(handle)
         except (BlockingIOError, PermissionError):
             raise OutputError(
-                f"{folder}: another process is writing to it; expected a folder of its own"
+                f"{folder}: another process is writing to it; expected another folder"
             ) from None
         except OSError:
             pass  # no locks there
@@ -71,11 +71,11 @@ def lock(handle):
 
 
 def destination(path):
-    """Return the regular file that `path` stands for; it need not exist; links are followed."""
+    """Return the regular file that `path` stands for, following links; it need not exist."""
     target = Path(os.path.realpath(path))
     if os.path.lexists(target) and not target.is_file():
         raise OutputError(
-            f"{path}: expected a regular file or nothing, found "
+            f"{path}: expected a regular file or an unused name, found "
             f"{'a folder' if target.is_dir() else 'a device, pipe, socket or broken link'}"
         )
     return target
@@ -85,8 +85,8 @@ def destination(path):
 def new_part(folder):
     """Yield a hidden folder inside `folder`, which is removed at the end.
 
-    An error of the system names the file in `folder` that was written last. The hidden folder is
-    removed even if the process has no file descriptors left; this hides no earlier error.
+    A system error names the file in `folder` that was written last. The hidden folder is removed
+    even if the process has no file descriptors left, and never hides an earlier error.
     """
     part, spare = None, open(os.devnull)
     try:
@@ -94,7 +94,7 @@ def new_part(folder):
             part = Path(mkdtemp(prefix=PART, dir=folder))
         yield part
     except OSError as error:
-        if error.errno:  # of the system, such as that the disk is full
+        if error.errno:  # of the system, such as a full disk
             name = error.filename2 or error.filename or [part, *files_in(part)][-1]
             error.filename = os.path.join(
                 *(place for place in Path(name).parts if not place.startswith(PART))
@@ -113,7 +113,7 @@ def files_in(folder):
 
 
 def remove(part):
-    """Remove a hidden folder, with one file descriptor at a time; what cannot be removed stays."""
+    """Remove a hidden folder, using one file descriptor; what cannot be removed stays."""
     for folder, _, files in os.walk(part, topdown=False):
         for name in files:
             with suppress(OSError):
@@ -158,15 +158,13 @@ def writable_folder(path):
 
 
 def make_folder(folder):
-    """Make a folder, if it is not there, and prove that it can be written to."""
+    """Make a folder if it is not there, and prove that it can be written to."""
     try:
         with deferred():
             folder.mkdir(parents=True, exist_ok=True)
             TemporaryDirectory(prefix=PART, dir=folder).cleanup()
     except OSError as error:
-        raise OutputError(
-            f"{folder}: expected a folder that can be written to ({error.strerror})"
-        ) from None
+        raise OutputError(f"{folder}: expected a writable folder ({error.strerror})") from None
 
 
 @contextmanager
@@ -175,26 +173,26 @@ def staged_folder(path, reads=None):
 
     The folder `path` is locked in the meantime, so its content may be checked first. After an error
     nothing is moved. None of the files may replace the file `reads`. A signal that arrives while
-    they move raises KeyboardInterrupt at the end, and its message says that they are written.
+    they are moved raises KeyboardInterrupt afterwards, and its message says where they are.
     """
     with writable_folder(path) as folder, locked(folder), new_part(folder) as part:
         yield part
         files = files_in(part)
         targets = [writable(folder / file.relative_to(part), reads) for file in files]
-        for target in targets:  # folders within are made only if all files can be written
+        for target in targets:  # subfolders are made only if all files can be written
             make_folder(next(filter(os.path.lexists, target.parents)))
         with deferred(f"; all files are in {folder}"):  # they move, or none does
             for i, target in enumerate(targets):
                 try:
                     target.parent.mkdir(parents=True, exist_ok=True)
                     move(files[i], target)
-                except OSError as error:  # of what was proven: the system has changed since
+                except OSError as error:  # despite the checks: something has changed since
                     error.strerror = f"{error.strerror}; {i} of {len(files)} files are replaced"
                     raise
 
 
 def move(file, target):
-    """Put a file in the place of another one, which may be on another disk, if a link led there."""
+    """Move `file` to `target`, which may be on another disk if a link led there."""
     try:
         os.replace(file, target)
     except OSError as error:
@@ -207,16 +205,16 @@ def move(file, target):
 def writable(path, *reads, start=b""):
     """Return the regular file that `path` stands for, if a new one may take its place.
 
-    It must be none of the files `reads`, from which it is made; None stands for no file. An old
+    It must not be one of the files `reads`, from which it is made; None stands for no file. An old
     file must be empty or begin with `start`, as the new one does.
     """
     target = destination(path)
     if target in [Path(os.path.realpath(file)) for file in reads if file]:
-        raise OutputError(f"{path}: this is the input; expected another place to write to")
+        raise OutputError(f"{path}: an input of this command; expected another output")
     if target.exists():
         with open(target, "rb") as old:
             if old.read(len(start)) not in (b"", start):
-                raise OutputError(f"{path}: a file of another kind; expected a new name")
+                raise OutputError(f"{path}: a file of another kind is there; expected a new name")
         os.replace(target, target)  # does nothing, but Windows refuses a file that a program holds
     return target
 
@@ -228,10 +226,10 @@ def new_file(path, *reads, start=b""):
         yield Path(path)
 
 
-def refuse_existing(path, remedy="delete it, or name another folder"):
-    """Refuse to train where another training has left the file `path`.
+def refuse_existing(path, remedy="delete it or name another folder"):
+    """Raise OutputError if the file `path`, which another training left, exists.
 
-    Raises OSError for a name that the file system does not take.
+    Raises OSError for a name that the file system does not accept.
     """
     with suppress(FileNotFoundError, NotADirectoryError):
         os.lstat(path)

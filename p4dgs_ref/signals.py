@@ -4,7 +4,7 @@ import signal
 import threading
 from contextlib import contextmanager
 
-# The last one comes if a terminal is closed; Windows does not have it.
+# SIGHUP comes when a terminal is closed; Windows does not have it.
 SIGNALS = {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
 RESEND_SECONDS = 0.02  # after which a signal that came too early is sent again
 
@@ -47,9 +47,9 @@ def handled(handler):
 
 @contextmanager
 def deferred(said=""):
-    """Within this context the first signal only fills the yielded list, a second one raises.
+    """Within this context the first signal only fills the yielded list; a second one raises.
 
-    At the end KeyboardInterrupt is raised if there was one; it says what stands then.
+    After a signal, KeyboardInterrupt with the message `said` is raised at the end.
     """
     asked = []
 

@@ -29,16 +29,16 @@ def visible(text, kept=""):
 
 
 def write_stderr(text):
-    """Print on stderr; if it is full, or its terminal closed, the command goes on."""
+    """Print on stderr; if that fails (full disk, closed terminal), the command continues."""
     with suppress(OSError):
         print(text, end="", file=sys.stderr, flush=True)
 
 
 def progress(text=""):
-    """Show a text as the last line of a terminal, in the place of the text before it.
+    """Show a text as the last line of a terminal, replacing the previous one.
 
-    Without a text the line is cleared, which every other output does first. Streams other than a
-    terminal get no progress.
+    Without a text the line is cleared, as it is before all other output. Only a terminal shows
+    progress.
     """
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns - 1
@@ -83,10 +83,10 @@ def ask(arguments, what, seconds, free=0):
     estimate = f"about {max(seconds / length, 0.1):.1f} {unit} ({what})"
     is_seen = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     wanted = arguments.yes or seconds < free
-    require_usage(wanted or is_seen, estimate, "say --yes")
+    require_usage(wanted or is_seen, estimate, "pass --yes to start")
     if seconds > 60 or not wanted:
         print_message(estimate)
     if not wanted:
-        write_stderr("go on? [y/N] ")
+        write_stderr("continue? [y/N] ")
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise KeyboardInterrupt

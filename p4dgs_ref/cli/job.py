@@ -41,11 +41,11 @@ from . import (
     text,
 )
 
-# Of a training step: in any case, for a child of an anchor, for a pixel, for both. Measured with 40
-# to 100,000 children and 256 to 640,000 pixels, this is right within a factor of 2.
+# Of a training step: fixed, per child of an anchor, per pixel, per child and pixel. Measured with
+# 40 to 100,000 children and 256 to 640,000 pixels; right within a factor of 2.
 SECONDS = 1.2e-3, 6.5e-6, 1.2e-6, 1.8e-10
 
-HOUR = 3600  # a longer training starts only after a question
+HOUR = 3600  # longer trainings start only after a question
 FIXED = "azimuth elevation distance size frames".split()  # options of the camera of `render`
 
 
@@ -72,10 +72,10 @@ def read_file(path):
 
 
 def load(arguments, preset=None, points=None):
-    """Return the scene of a command; on a terminal a line says how far the reading of pictures is.
+    """Return the scene of a command; on a terminal a line counts the pictures read.
 
-    With a preset, the first picture tells how long its training takes. If that is more than an hour
-    the user is asked before the others are read.
+    With a preset, the first picture tells how long its training takes. If that is more than an
+    hour, the user is asked before the other pictures are read.
     """
     files = find_views(arguments.scene, downscale=arguments.downscale)
     points = files.points if points is None else points
@@ -86,7 +86,7 @@ def load(arguments, preset=None, points=None):
         what = f"{preset.iterations:,} iterations at {size_of(image)}"
         ask(arguments, what, step * preset.iterations, HOUR)
     return replace(files, points=points).read(
-        lambda i, n: progress(f"{arguments.scene}: {i}/{n} pictures are read")
+        lambda i, n: progress(f"{arguments.scene}: {i}/{n} pictures read")
     )
 
 
@@ -114,7 +114,7 @@ def demo(arguments):
 def simulate(arguments):
     """Draw the pictures of a scene.json."""
     p4.simulate(arguments.scene, arguments.output, lambda i, n: progress(f"{i}/{n} pictures"))
-    print_result(f"{arguments.output}: drawn")
+    print_result(f"{arguments.output}: pictures drawn")
 
 
 def train(arguments):
@@ -172,23 +172,25 @@ def decode(arguments):
         (staging / "model.json").write_text(
             json.dumps(vars(model.design), indent=1) + "\n", encoding="utf-8"
         )
-    print_result(f"{arguments.output}: model.npz with {len(arrays)} arrays, model.json")
+    print_result(f"{arguments.output}: model.npz with {len(arrays)} arrays, and model.json")
 
 
 def render(arguments):
     """Draw pictures of a file into a new folder; those of a fixed camera also as a GIF."""
     output, scene = Path(arguments.output), arguments.scene
     fixed = {name: value for name in FIXED if (value := getattr(arguments, name)) is not None}
-    require_usage(not (scene and fixed), f"--{', --'.join(fixed)}", "expected without --scene")
     require_usage(
-        scene or arguments.downscale == 1, "--downscale", "expected together with --scene"
+        not (scene and fixed), f"--{', --'.join(fixed)}", "cannot be combined with --scene"
+    )
+    require_usage(
+        scene or arguments.downscale == 1, "--downscale", "expected only together with --scene"
     )
     _, model, _ = read_file(arguments.file)
     with staged_folder(output) as staging:
         require_usage(
             not any(output.glob("[!.]*")),
             output,
-            "has files already; expected a new or an empty folder, so that all pictures are of one "
+            "contains files; expected a new or empty folder, so that all pictures come from one "
             "run",
         )
         if scene:

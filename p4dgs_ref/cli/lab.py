@@ -32,7 +32,7 @@ def accuracy(arguments):
 
 def written(arguments, name):
     """Return a line that names the picture of a command and its numbers."""
-    return f"picture: {arguments.output}/{name}.png, its numbers: {name}.csv"
+    return f"picture: {arguments.output}/{name}.png, its numbers beside it: {name}.csv"
 
 
 def hard_cases(arguments):
@@ -53,7 +53,7 @@ def effects(arguments):
     from ..lab import effect_ledger
 
     require_usage(
-        arguments.suggest or not arguments.apply, "--apply", "expected together with --suggest"
+        arguments.suggest or not arguments.apply, "--apply", "expected only together with --suggest"
     )
     if arguments.suggest:
         return suggest_effects(arguments)
@@ -89,18 +89,18 @@ def suggest_effects(arguments):
 
 
 def classroom(arguments):
-    """Write the equations without their bodies, and the key."""
+    """Write the equations without the bodies of their functions, and the key."""
     from ..lab.classroom import hand_out
 
     done = hand_out(arguments.folder, arguments.only)
     print_result(
         f"{done['output']}: {done['functions']} functions of {len(done['equations'])} equations to "
-        f"write; hand out student/, keep key/; README.md explains what to do"
+        f"write; hand out student/ and keep key/; README.md explains how"
     )
 
 
 def grade(arguments):
-    """Judge what students wrote."""
+    """Grade what students wrote."""
     from ..lab import classroom as room
 
     # Shells of Windows leave hand_in/* as it is.

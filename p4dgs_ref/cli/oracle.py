@@ -35,15 +35,15 @@ def port_of(arguments):
     require_usage(
         (folder is None) != (command is None),
         "oracle check",
-        "expected either a folder of a port's answers or --adapter CMD",
+        "expected either a folder with a port's answers or --adapter CMD",
     )
     if command:
         return Adapter(command, arguments.timeout or 10.0, arguments.dtype or "float64")
-    require_usage(Path(folder).is_dir(), folder, "expected a folder of a port's answers")
+    require_usage(Path(folder).is_dir(), folder, "expected a folder with a port's answers")
     require_usage(
         not (arguments.dtype or arguments.timeout),
         "--dtype, --timeout",
-        "these apply to --adapter only; the precision of a folder is that of its tensors",
+        "expected only with --adapter; a folder's tensors have their own precision",
     )
     return nullcontext(FolderPort(folder))
 

@@ -19,7 +19,7 @@ class Parser(argparse.ArgumentParser):
     """argparse with its errors in one line."""
 
     def error(self, message):
-        print_message(f"{message}; `{self.prog} --help` explains")
+        print_message(f"{message}; see `{self.prog} --help`")
         sys.exit(2)
 
 
@@ -31,7 +31,7 @@ kernels are the processor's own, trained bytes may differ, but files decode to t
 
 
 class Version(argparse.Action):
-    """The option --version; NumPy loads only if it is asked for."""
+    """The option --version; NumPy is loaded only for it."""
 
     def __call__(self, parser, *others):
         print_result(f"{arithmetic()}\n{KEPT}")
@@ -47,18 +47,18 @@ def number_in_range(kind, low, high=1e18):
             if low <= (value := kind(text)) <= high:
                 return value
         words = "a whole number" if kind is int else "a number"
-        raise argparse.ArgumentTypeError(f"expected {words} in {low:g} ... {high:g}, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected {words} from {low:g} to {high:g}, got {text!r}")
 
     return read
 
 
 def nonempty_text(text):
-    """Return a text unless it is empty: as a path, it would stand for the current folder.
+    """Return a text unless it is empty: an empty path would stand for the current folder.
 
     No path contains NUL.
     """
     if not text or "\0" in text:
-        raise argparse.ArgumentTypeError(f"expected a text without NUL, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a non-empty text without NUL, got {text!r}")
     return text
 
 
@@ -97,7 +97,7 @@ DOWNSCALE = option(
     help="divide both sides of the scene's pictures by N (default 1)",
 )
 SETTINGS = (
-    option("--preset", default="tiny", metavar="NAME", help="one of `presets` (default tiny)"),
+    option("--preset", default="tiny", metavar="NAME", help="listed by `presets` (default tiny)"),
     option(
         "--seed",
         type=number_in_range(int, 0),
@@ -119,7 +119,7 @@ ORACLE = {
     ),
     "check": (
         "oracle.check",
-        "judge the answers of a port; exit code 0 only if every required case passes",
+        "check the answers of a port; exit code 0 only if every required case passes",
         (
             option(
                 "folder",
@@ -128,13 +128,13 @@ ORACLE = {
             ),
             JSON,
             option(
-                "--adapter", metavar="CMD", help="command that starts a port, which answers in JSON"
+                "--adapter", metavar="CMD", help="command that starts a port that answers in JSON"
             ),
             option(
                 "--timeout",
                 type=number_in_range(float, 0.01, 86400),
                 metavar="SECONDS",
-                help="limit for each answer of the adapter, compilation included (default 10)",
+                help="time limit for each answer of the adapter, with its compilation (default 10)",
             ),
             option(
                 "--dtype",
@@ -145,7 +145,7 @@ ORACLE = {
             several(
                 "--only", "NAME", "only this equation, subject, group or case; may be repeated"
             ),
-            switch("--strict", "require all digits, even where the printed formula has fewer"),
+            switch("--strict", "require all digits, even where the printed formula loses some"),
         ),
     ),
 }
@@ -154,17 +154,17 @@ GROUPS = {
     "The main job, for everyone who follows the paper": {
         "demo": (
             "job.demo",
-            "do all of it: train on a scene, compress, decode, render and measure",
+            "run the whole pipeline: train on a scene, compress, decode, render and measure",
             (
                 option("scene", nargs="?", default="bouncing", help=SCENE_HELP),
                 DOWNSCALE,
                 *SETTINGS,
-                output("folder of the report (default report)", default="report"),
+                output("folder for the report (default report)", default="report"),
             ),
         ),
         "train": (
             "job.train",
-            "train on a scene, and write a run folder",
+            "train on a scene and write a run folder",
             (
                 SCENE,
                 DOWNSCALE,
@@ -185,7 +185,7 @@ GROUPS = {
         ),
         "decode": (
             "job.decode",
-            "write the arrays of a file as model.npz, its design as model.json",
+            "write the arrays of a file to model.npz and its design to model.json",
             (FILE, NEW_FOLDER),
         ),
         "render": (
@@ -202,12 +202,12 @@ GROUPS = {
                 option(
                     "--elevation",
                     type=number_in_range(float, -89, 89),
-                    help="degrees above the xy plane (default 30)",
+                    help="angle of the camera in degrees above the xy plane (default 30)",
                 ),
                 option(
                     "--distance",
                     type=number_in_range(float, 1e-3, 1e6),
-                    help="from the anchors (default 3.6), with a field of view of 41 degrees",
+                    help="to the anchors (default 3.6), with a field of view of 41 degrees",
                 ),
                 option(
                     "--size",
@@ -217,7 +217,7 @@ GROUPS = {
                 option(
                     "--frames",
                     type=number_in_range(int, 1, 10_000),
-                    help="number of pictures, from time 0 to 1 (default 24)",
+                    help="number of pictures from time 0 to time 1 (default 24)",
                 ),
                 option("--scene", help="use the test cameras and times of this scene instead"),
                 DOWNSCALE,
@@ -237,7 +237,7 @@ GROUPS = {
         ),
         "inspect": (
             "job.inspect",
-            "list the bytes of each section of a file beside its entropy",
+            "list the bytes and the entropy of each section of a file",
             (FILE, JSON),
         ),
         "view": (
@@ -271,7 +271,7 @@ GROUPS = {
                     nargs="?",
                     help="a .p4dgs file (default: a small model that is installed)",
                 ),
-                option("scene", nargs="?", default="bouncing", help="the scene of this file"),
+                option("scene", nargs="?", default="bouncing", help="its scene (if not bouncing)"),
                 DOWNSCALE,
                 output(
                     "folder for accuracy.png and accuracy.csv (default report)", default="report"
@@ -283,10 +283,10 @@ GROUPS = {
             "list hard cases (printed formula, ours, true value) and draw a map of errors",
             (
                 JSON,
-                option("--only", metavar="ID", help="only this case or group, such as H-R1"),
-                switch("--all", "print every row, not one for each equation"),
+                option("--only", metavar="ID", help="run only this case or group, such as H-R1"),
+                switch("--all", "print every row, not only the worst of each equation"),
                 output(
-                    "folder for stability.png, a map, and stability.csv (default report)",
+                    "folder for stability.png (the map) and stability.csv (default report)",
                     default="report",
                 ),
             ),
@@ -311,7 +311,7 @@ GROUPS = {
     "Teach, for teachers and their students": {
         "classroom": (
             "lab.classroom",
-            "write the equations without bodies for students, and complete for the teacher",
+            "write the equations: without bodies for students, complete for the teacher",
             (
                 option(
                     "folder",
@@ -322,13 +322,13 @@ GROUPS = {
         ),
         "grade": (
             "lab.grade",
-            "grade each student and equation on inputs that the students have not seen",
+            "grade the equations of students on inputs that they have not seen",
             (
                 option(
                     "folders",
                     nargs="+",
                     metavar="DIR",
-                    help="a student's folder student/, or a folder that contains it",
+                    help="the folder student/ of a student, or a folder that contains it",
                 ),
                 JSON,
                 option(
@@ -340,7 +340,7 @@ GROUPS = {
                     "--seed",
                     type=number_in_range(int, 0),
                     metavar="N",
-                    help="seed of the inputs, which students must not know (default: drawn)",
+                    help="seed of the inputs, to be kept from students (default: a random one)",
                 ),
                 output("folder for grades.txt and grades.csv"),
             ),
@@ -394,11 +394,11 @@ def parser():
     return top
 
 
-# The end of the message of a stopped command: what is kept, and how to go on.
+# The end of the message of a stopped command: what is kept, and how to continue.
 STOPPED = {
-    "train": "; if the run folder has a checkpoint, the same command with --resume goes on from it",
+    "train": "; if the run folder has a checkpoint, the same command with --resume continues",
     "demo": "; nothing is kept before the training ends; `p4dgs-ref train` keeps checkpoints, from "
-    "which --resume goes on",
+    "which --resume continues",
 }
 
 
@@ -406,16 +406,16 @@ def run(argv, start):
     """Parse and run a command; returns the exit code.
 
     Exit codes: 0 success, 1 failed training or check, 2 invalid input, 130 interrupted. Every
-    ValueError that this package defines means invalid input; another one is a bug.
+    ValueError that this package defines means invalid input; any other is a bug.
     """
     arguments = parser().parse_args(argv, argparse.Namespace(start=start))
     module, name = arguments.function.split(".")
     with warnings.catch_warnings():
-        # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags with right numbers.
+        # Kernels for ARM (OpenBLAS with SME, Accelerate) raise flags although all numbers are good.
         warnings.filterwarnings("ignore", ".* encountered in matmul", RuntimeWarning)
-        # They are messages of the command, which `python -W error` does not turn into tracebacks.
+        # These are messages of the command; `python -W error` must not turn them into tracebacks.
         warnings.filterwarnings("default", category=UserWarning)
-        # In one line, at once; the place in the code means nothing to a user.
+        # In one line and at once; the place in the code would mean nothing to a user.
         warnings.showwarning = lambda message, *place, **stream: print_warning(message)
         try:
             with deferred():  # not in the middle of an import
@@ -425,7 +425,7 @@ def run(argv, start):
             code, message = 130, f"stopped{str(stop) or STOPPED.get(arguments.command, '')}"
         except (ArithmeticError, MemoryError, ChildProcessError) as error:
             code, message = 1, str(error) or "out of memory"
-        except ModuleNotFoundError as error:  # a copy with fewer rooms; another module is a bug
+        except ModuleNotFoundError as error:  # a copy without some rooms; another module is a bug
             if not str(error.name).startswith("p4dgs_ref."):
                 raise
             code, message = 2, f"{arguments.command}: {error.name} is not in this installation"

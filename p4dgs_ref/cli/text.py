@@ -5,7 +5,7 @@ from ..training.presets import FIELDS, PAPER_REAL, PAPER_SYNTHETIC, SOURCES, dif
 
 
 def quality(m):
-    """Return PSNR, also of the object alone if the scene has an alpha, and SSIM."""
+    """Return PSNR, also of the object alone if the scene has alpha, and SSIM."""
     if m["ssim"] is None:
         return "not measured: the scene has no test views"
     foreground = "" if m["psnr_fg_db"] is None else f" (object {m['psnr_fg_db']:.2f} dB)"
@@ -13,11 +13,11 @@ def quality(m):
 
 
 def size(m):
-    """Return the file compared with the same Gaussians without compression."""
+    """Return the size of the file beside that of the same Gaussians without compression."""
     return (
-        f"file {m['bytes']:,} bytes, {m['ratio']:.1f} times smaller than its Gaussians as float32 "
-        f"({m['explicit_bytes']:,} bytes); "
-        f"{m['ratio_without_sh']:.1f} times without spherical harmonics"
+        f"file {m['bytes']:,} bytes, {m['ratio']:.1f} times smaller than its Gaussians and "
+        f"motion network as float32 ({m['explicit_bytes']:,} bytes); "
+        f"{m['ratio_without_sh']:.1f} times if these had no spherical harmonics"
     )
 
 
@@ -52,13 +52,13 @@ LEDGER = "{:16} {:>10} {:>10} {:>8} {:>8} {:>8} {:>8} {:>9}"
 
 
 def ledger(rows, gaps):
-    """Return the sections of a file: bytes by the entropy, bytes in the file, why they differ."""
+    """Return a table of the sections of a file, and why its columns differ."""
     file = {"name": "file", **{key: sum(row[key] for row in rows) for key in BYTES}}
     heads = "section", "entropy", "integers", "payload", "headers", "bytes", "symbols", "bits each"
     columns = "name", *BYTES, "symbols", "bits_per_symbol"
     table = [heads, *([cell(row.get(key)) for key in columns] for row in [*rows, file])]
     lines = [LEDGER.format(*line).rstrip() for line in table]
-    lines += ["", "In bytes. The columns differ because of:"]
+    lines += ["", "Sizes are in bytes. Why one column differs from the next:"]
     return "\n".join([*lines, *(f"  {name:20} {why}" for name, why in gaps.items())])
 
 

@@ -10,13 +10,13 @@ from ..codec.streams import ideal_bits_gaussian
 from ..equations import hash_grid, hash_rate, likelihood
 from ..model import context
 
-BLOCK = 2**22  # numbers of a block of anchors: 32 MiB, half of what a decoder may need
+BLOCK = 2**22  # numbers in a block of anchors: 32 MiB, half of what a decoder may need
 
-# Why a section is larger than its entropy under the float model: from each size in a row of the
-# ledger to the next.
+# Why a section is larger than its entropy under the float model: the step from each size in a row
+# of the ledger to the next.
 GAPS = {
-    "entropy to integers": "means, deviations and frequencies are integers, no frequency is zero",
-    "integers to payload": "the coder's end: 4 to 8 bytes of state, a few bits a lane, whole bytes",
+    "entropy to integers": "means, deviations and frequencies are integers, and no frequency is 0",
+    "integers to payload": "coder's end: 4 to 8 bytes of state, a few bits per lane, whole bytes",
     "payload to bytes": "number of lanes, probability of a one, box of positions, section table",
 }
 

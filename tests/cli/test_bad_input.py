@@ -168,15 +168,15 @@ LINES = [
     ("encode 'a\nb\x1b[31m' -o new/x.p4dgs", ("a\\nb\\x1b[31m/checkpoint.npz",)),
     ("demo '--a\nb\x1b[31m'", ("unrecognized", "a\\nb\\x1b[31m")),
     ("decode 'a\nb' -o new", ("a\\nb: No such file",)),
-    ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a folder",)),
+    ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a writable",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
     ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
     ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
-    ("demo scene -o text/out --preset smoke --quiet", ("text/out", "folder that can be written")),
+    ("demo scene -o text/out --preset smoke --quiet", ("text/out", "expected a writable folder")),
     (
         "demo scene -o /proc/out/deep --preset smoke --quiet",
-        ("/proc/out/deep", "folder that can be written"),
+        ("/proc/out/deep", "expected a writable folder"),
     ),
     ("train scene -o run --preset smoke", ("checkpoint.npz", "--resume")),
     ("train scene -o new --preset smoke --resume", ("new/checkpoint.npz", "No such file")),
@@ -196,7 +196,7 @@ LINES = [
     ("encode nowhere -o x.p4dgs", ("nowhere/checkpoint.npz", "No such file", "train SCENE")),
     ("encode text -o x.p4dgs", ("text/checkpoint.npz", "Not a directory")),
     ("encode run -o scene", ("scene", "file")),
-    ("encode run -o text/x.p4dgs", ("text", "folder that can be written")),
+    ("encode run -o text/x.p4dgs", ("text", "expected a writable folder")),
     *(
         (f"{command} {file}{rest}", (file, *words))
         for command, rest in (
@@ -219,23 +219,23 @@ LINES = [
     ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply")),
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
     ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
-    ("decode good.p4dgs -o text", ("text", "folder that can be written")),
+    ("decode good.p4dgs -o text", ("text", "expected a writable folder")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
-    ("render good.p4dgs -o new --frames 0", ("--frames", "1 ... 10000")),
+    ("render good.p4dgs -o new --frames 0", ("--frames", "from 1 to 10000")),
     ("render good.p4dgs -o new --scene nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --distance nan", ("--distance", "nan")),
     ("render good.p4dgs -o new --elevation 90", ("--elevation",)),
     *(
-        (f"render good.p4dgs -o new --scene scene --{name} 4", (f"--{name}: expected without",))
+        (f"render good.p4dgs -o new --scene scene --{name} 4", (f"--{name}: cannot be combined",))
         for name in ("azimuth", "frames")
     ),
     (
         "render good.p4dgs -o new --scene scene --size 4 --frames 2",
-        ("--size, --frames: expected without --scene",),
+        ("--size, --frames: cannot be combined with --scene",),
     ),
-    ("render good.p4dgs -o new --downscale 4", ("--downscale: expected together with --scene",)),
-    ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or an empty folder")),
+    ("render good.p4dgs -o new --downscale 4", ("--downscale: expected only together with",)),
+    ("render good.p4dgs -o run --frames 1", ("run: ", "expected a new or empty folder")),
     ("render scene.ply -o new", ("scene.ply: ", "container")),
     ("simulate text -o new", ("text", "JSON")),
     (
@@ -246,9 +246,9 @@ LINES = [
     ("stability --json=yes", ("--json",)),
     ("effects scene --apply", ("--apply", "--suggest")),
     ("encode run -o text", ("text: ", "another kind")),
-    ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "the input")),
+    ("encode run -o run/checkpoint.npz", ("checkpoint.npz", "an input")),
     ("encode run_cut -o run/checkpoint.npz", ("run/checkpoint.npz: ", "another kind")),
-    ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: this is the input",)),
+    ("view good.p4dgs run.p4dgs -o run.p4dgs", ("run.p4dgs: an input of this command",)),
     ("effects static --suggest --apply", ("packaged",)),
     ("view good.p4dgs -o cut.p4dgs", ("cut.p4dgs: ", "another kind")),
     ("demo scene -o report --preset smoke", ("report/metrics.json: exists", "another")),
@@ -470,7 +470,7 @@ def test_outputs_that_are_no_files(place, run, kind):
     for line, name in WRITING.items():
         code, _, err = run(line.format(kind))
         assert code == 2 and err.count("\n") == 1, err
-        assert f"{kind}/{name}: expected a regular file or nothing, found" in err
+        assert f"{kind}/{name}: expected a regular file or an unused name, found" in err
     assert nodes() == before
 
 

@@ -272,7 +272,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 LONG = "--preset smoke --set stage_ends=9,9,9,90000000 --set anchors=2"
 ESTIMATED = {  # what is said when the training is stopped
     f"train scene -o run {LONG}": "stopped; if the run folder has",
-    f"demo scene -o run {LONG}": "--resume goes on",
+    f"demo scene -o run {LONG}": "--resume continues",
 }
 
 
@@ -293,7 +293,7 @@ def test_long_trainings_need_a_yes_before_pictures_are_read(place, run, stopped,
         patch.setattr(SceneFiles, "read", lambda *_: pytest.fail("pictures are read"))
         code, _, err = run(line)
     assert code == 2 and re.search(
-        r"about 1\.4 days \(90,000,000 iterations at 12x8\): say --yes\n", err
+        r"about 1\.4 days \(90,000,000 iterations at 12x8\): pass --yes to start\n", err
     )
     assert err.count("\n") == 1 and not Path("run").exists()
     code, _, err = run(f"{line} --yes")
@@ -304,8 +304,8 @@ EARLY = {  # what can be refused before a picture is read
     "train scene -o run --points none.ply": "none.ply: missing",
     "train scene -o run --points points.obj": "points.obj: expected a name that ends in .npy, .ply",
     "train scene -o run --resume": "run/checkpoint.npz: No such file",
-    "train scene -o notes.txt/run": "notes.txt/run: expected a folder that can be written to",
-    "demo scene -o notes.txt/run": "notes.txt/run: expected a folder that can be written to",
+    "train scene -o notes.txt/run": "notes.txt/run: expected a writable folder",
+    "demo scene -o notes.txt/run": "notes.txt/run: expected a writable folder",
     "demo scene -o done": "done/metrics.json: exists",
     "train scene -o done": "done/checkpoint.npz: exists",
     "train scene -o run --seed one": "--seed",
@@ -342,7 +342,7 @@ def test_the_estimate_counts_pixels_and_comes_before_the_first_step(place, run, 
     assert code == 130 and 5 < float(minutes) < 60
     assert "about" not in run("train scene -o run --downscale 40")[2]
     iterations = "--set stage_ends=9,9,9,38000"
-    assert "(38,000 iterations at 480x320): say --yes" in run(f"train scene -o run {iterations}")[2]
+    assert "(38,000 iterations at 480x320): pass" in run(f"train scene -o run {iterations}")[2]
 
 
 def test_a_line_tells_how_far_the_reading_of_pictures_is(place, monkeypatch):
@@ -350,7 +350,7 @@ def test_a_line_tells_how_far_the_reading_of_pictures_is(place, monkeypatch):
     monkeypatch.setattr(terminal, "isatty", lambda: True, raising=False)
     with redirect_stderr(terminal):
         scene = job.load(SimpleNamespace(scene="scene", downscale=1))
-    lines = "".join(f"\rscene: {i}/4 pictures are read\x1b[K" for i in range(4))
+    lines = "".join(f"\rscene: {i}/4 pictures read\x1b[K" for i in range(4))
     assert len(scene.test) == 2 and terminal.getvalue() == lines
 
 

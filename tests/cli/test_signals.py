@@ -52,7 +52,7 @@ def test_during_an_import(tmp_path, name, way, module):
 
 
 RUN = "train bouncing -o run --downscale 4 --quiet"
-KEPT = "; if the run folder has a checkpoint, the same command with --resume goes on from it"
+KEPT = "; if the run folder has a checkpoint, the same command with --resume continues"
 LOST = "; nothing is kept before the training ends"
 SAID = {  # of a command that was stopped
     "train": KEPT,

@@ -180,7 +180,7 @@ def run(monkeypatch):
 def test_apply_writes_the_list_beside_what_the_file_holds(folder, quick, run, capsys):
     quick.update(occlusion=9.0)
     assert run(f"effects {folder} --suggest --apply") == 2
-    assert "minutes (short trainings): say --yes" in capsys.readouterr().err
+    assert "minutes (short trainings): pass --yes to start" in capsys.readouterr().err
     assert run(f"effects {folder} --suggest --apply --yes") == 0
     assert "written to" in capsys.readouterr().out
     listed = ("occlusion", "background")
@@ -205,7 +205,7 @@ def test_a_terminal_is_asked(answer, code, folder, run, monkeypatch):
     monkeypatch.setattr("sys.stdin", Terminal(answer))
     monkeypatch.setattr("sys.stderr", Terminal())
     assert run(f"effects {folder} --suggest") == code
-    assert "go on? [y/N] " in sys.stderr.getvalue()
+    assert "continue? [y/N] " in sys.stderr.getvalue()
 
 
 def test_a_list_that_cannot_be_written_is_refused_before_the_work(folder, run, monkeypatch, capsys):
@@ -220,7 +220,7 @@ def test_a_list_that_cannot_be_written_is_refused_before_the_work(folder, run, m
 
     monkeypatch.setattr(output, "TemporaryDirectory", read_only)
     assert run(f"effects {folder} --suggest --apply --yes") == 2
-    said = f"{folder}: expected a folder that can be written to (Permission denied)"
+    said = f"{folder}: expected a writable folder (Permission denied)"
     assert said in capsys.readouterr().err
 
 

@@ -349,7 +349,7 @@ def test_interrupted_then_killed_then_resumed(tmp_path):
     first = start(*train, "b run", cwd=tmp_path)
     err, code = stop_at(25, first, run, signal.SIGINT)
     assert code == 130 and "Traceback" not in err
-    assert err.endswith("the same command with --resume goes on from it\n")
+    assert err.endswith("the same command with --resume continues\n")
     again = start(*train, "b run", "--resume", cwd=tmp_path)
     assert stop_at(70, again, run, signal.SIGKILL)[1] == -signal.SIGKILL
     assert 70 <= load_checkpoint(run)[1]["iteration"] < 120

@@ -277,7 +277,7 @@ def test_descriptions_in_files(tmp_path):
     assert (tmp_path / "new" / "out" / "scene.json").read_text(encoding="utf-8") == json.dumps(FULL)
     assert len(load_scene(tmp_path / "new" / "out").train) == 3
     taken.write_text("", encoding="utf-8")
-    with pytest.raises(OutputError, match="taken: expected a folder that can be written to"):
+    with pytest.raises(OutputError, match="taken: expected a writable folder"):
         simulate(file, taken)
 
 
