@@ -22,16 +22,17 @@ thread = figures.THREAD
 
 # %% [markdown]
 # ## What fails without it
-# A surface is flat, and a soft ball is not: balls that cover a wall stick out of it on both sides,
-# and balls thin enough to hide in it leave holes. A Gaussian therefore has three sizes, one along
-# each of its own axes, and a rotation that lays these axes along the surface.
+# Splatting builds a scene from soft blobs, its Gaussians. If they were balls, those that cover a
+# wall would stick out of it on both sides, and balls small enough to hide in it would leave holes.
+# A Gaussian therefore has three sizes, one along each of its own axes, and a rotation that lays
+# these axes along the surface.
 #
 # This tutorial and the next two follow the Gaussians of anchor 29 from their shape to the picture.
-# The left side shows the red ball of the trained scene, drawn from near, with these Gaussians
-# ringed in purple. In the middle nothing is turned: every Gaussian keeps its three sizes, but they
-# lie along x, y and z. On the right every Gaussian is a ball of the same volume. The titles give
-# the quality of ten test views as the PSNR, a logarithmic measure of the mean squared error; 3 dB
-# more stand for half of the error.
+# The left side shows the red ball of the trained scene from near, with these Gaussians ringed in
+# purple. In the middle nothing is turned: every Gaussian keeps its three sizes, but they lie along
+# x, y and z. On the right every Gaussian is a ball of the same volume. The titles give the mean
+# quality of ten test views as the PSNR, a logarithmic measure of the mean squared error: 3 dB more
+# mean half the error.
 
 
 # %%
@@ -48,7 +49,7 @@ NOTHING, TURN, SIZES = {}, {"shape": never_turned}, {"shape": spheres}
 
 # %%
 without.show_changes(
-    "13_covariance_fails", {"all there": NOTHING, "never turned": TURN, "balls": SIZES}
+    "13_covariance_fails", {"as trained": NOTHING, "never turned": TURN, "balls": SIZES}
 )
 
 # %% [markdown]
@@ -184,7 +185,7 @@ figures.show(figure, "13_covariance_turned")
 # Where does the matrix come from? A quaternion rotates a vector $v$ by the product $r\,v\,r^*$,
 # where $v$ is a quaternion with the real part zero and $r^* = (w, -x, -y, -z)$. If we multiply this
 # out, and use $w^2+x^2+y^2+z^2 = 1$ on the diagonal, the coefficients of $v$ are the entries of
-# $R$. It keeps lengths and handedness.
+# $R$, which keeps lengths and handedness.
 
 
 # %%
@@ -347,7 +348,7 @@ for step in range(150):
     gradients = covariance.backward(saved_now, error)
     scale = scale - 0.1 * gradients["s"]
     raw = raw - 0.1 * normalise_backward(unit, norm, gradients["r"])
-print(f"loss: {losses[0]:.2e}, after {len(losses)} steps {losses[-1]:.2e}")
+print(f"loss: {losses[0]:.2e}, after {step} steps {losses[-1]:.2e}")
 assert losses[-1] < 1e-3 * losses[0]
 
 # %%
@@ -389,10 +390,10 @@ ORDER, TRANSPOSE = {"shape": real_part_last}, {"shape": of_transpose}
 without.show_changes("13_covariance_mistakes", {"real part last": ORDER, "transposed": TRANSPOSE})
 
 # %% [markdown]
-# ## What a codec does with it
+# ## What a codec should round
 # P-4DGS predicts $s$ and $r$, so its file contains neither. A codec that stores shapes should not
-# round $\Sigma$ itself, because the rounded matrix may have a negative eigenvalue and then is not a
-# covariance any more. A rounded $s$ and a rounded, normalised $r$ always give a covariance. The
+# round $\Sigma$ itself, because the rounded matrix may have a negative eigenvalue and then is no
+# longer a covariance. A rounded $s$ and a rounded, normalised $r$ always give a covariance. The
 # cell rounds the Gaussians of the scene both ways.
 
 # %%
@@ -417,7 +418,7 @@ assert still == 0
 
 # %%
 changes = {
-    "all there": NOTHING,
+    "as trained": NOTHING,
     "never turned": TURN,
     "balls": SIZES,
     "real part last": ORDER,

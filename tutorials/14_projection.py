@@ -32,7 +32,7 @@ h = 1e-6
 #
 # In the picture, the rings are again the Gaussians of anchor 29. In the middle every splat is a
 # circle of the right area. On the right, splats have the right length and width, but are tilted the
-# wrong way, because one sign is wrong. This is worse than no tilt at all.
+# wrong way, because one sign is wrong. This is worse than circles.
 
 
 # %%
@@ -51,7 +51,7 @@ NOTHING, CIRCLES, WRONG_SIGN = {}, {"splat": circles}, {"splat": wrong_sign}
 # %%
 without.show_changes(
     "14_projection_fails",
-    {"all there": NOTHING, "circles of equal area": CIRCLES, "sign of b wrong": WRONG_SIGN},
+    {"as trained": NOTHING, "circles of equal area": CIRCLES, "sign of b wrong": WRONG_SIGN},
 )
 
 # %% [markdown]
@@ -107,12 +107,13 @@ print(f"pixel {pixel(1, 4)}, variance {variance}, conic {1 / variance:.3f}")
 
 # %% [markdown]
 # How good is this? $J$ replaces a curved map by a straight one, so the result is accurate for
-# Gaussians that are small compared to their depth. Take the disc of anchor 29 that
-# `13_covariance` turned. The figure draws 20,000 points from this Gaussian, projects each of them
-# exactly, and draws the ellipse of their covariance in black, and the ellipse that $J$ predicts in
-# purple. On the left is the camera of the pictures, where the widths agree to 1 %. On the right the
-# camera is ten times nearer, at four times the radius of the disc. Even there $J$ makes it only 4 %
-# too narrow, but the points have a long tail to the lower left, which no ellipse has.
+# Gaussians that are small compared to their depth. Take the disc of anchor 29 that `13_covariance`
+# turned. The cell samples 20,000 points from this Gaussian and projects each of them exactly. The
+# figure shows 1,000 of them, the ellipse of the covariance of all in dashed black, and the ellipse
+# that $J$ predicts in purple. On the left is the camera of the pictures, where the widths agree to
+# 1 %. On the right the camera is ten times nearer, at four times the radius of the disc. Even there
+# $J$ makes it only 4 % too narrow, but the points have a long tail to the lower left, which no
+# ellipse has.
 
 # %%
 from p4dgs_ref.splatting import covariance, factored, projection, render
@@ -217,7 +218,7 @@ assert furthest / focal[0] < 0.36 < limit[0]
 
 # %%
 without.show_changes(
-    "14_projection_blur", {"all there": NOTHING, "no blur": NO_BLUR}, zoom=1, view=tour.VIEW
+    "14_projection_blur", {"as trained": NOTHING, "no blur": NO_BLUR}, zoom=1, view=tour.VIEW
 )
 
 # %% [markdown]
@@ -374,7 +375,8 @@ _ = lessons.adjoint(rng, partial(projection.forward, **camera), inputs, bars, ou
 # %% [markdown]
 # What do these gradients mean in space? A cotangent of the *mean* moves a Gaussian perpendicular to
 # its ray, because moving along the ray does not change the pixel. A cotangent that asks for a
-# larger *size* moves it towards the camera.
+# larger *size* moves it towards the camera, and a little to the side, where $J$ stretches it.
+# Beyond the clamp, at both ends of the nearest row, it moves in depth alone.
 
 # %%
 straight = {**camera, "W": np.eye(3), "T": np.zeros(3)}
@@ -447,13 +449,13 @@ lessons.check_mistake(
 )
 
 # %% [markdown]
-# ## What a codec does with it
-# The file contains nothing of this, because the decoder projects the Gaussians itself, as a video
-# decoder moves blocks. But the projection tells how many bits a position is worth. The cell rounds
-# the positions of all anchors, and looks at them in pictures that are 64 pixels wide, as ours, and
-# 800, as the paper's synthetic ones. 8 bits per axis are enough for the small picture alone. Two
-# more bits divide the error by four, so 16 bits, as in the file of this project, leave less than
-# 0.01 pixels of 800.
+# ## How many bits a position needs
+# The file contains no splats, because the decoder projects the Gaussians itself, as a video decoder
+# moves blocks itself. But the projection tells how many bits a position is worth. The cell rounds
+# the positions of all anchors and projects them into pictures that are 64 pixels wide, like ours,
+# and 800 pixels wide, like the paper's synthetic ones. 8 bits per axis are enough for the small
+# picture alone. Two more bits divide the error by four, so 16 bits, as in the file of this project,
+# leave less than 0.01 pixels of 800.
 
 # %%
 places = tour.MODEL.anchors.x_a.astype(float)
@@ -484,7 +486,7 @@ def one_distance(cov2d, z, camera):
 
 
 changes = {
-    "all there": NOTHING,
+    "as trained": NOTHING,
     "circles of equal area": CIRCLES,
     "sign of b wrong": WRONG_SIGN,
     "no blur": NO_BLUR,
@@ -510,8 +512,8 @@ assert np.allclose([*quality.values()], numbers, atol=0.02)
 #   thin, and the picture gets holes and sparkles.
 # - *A splat is the shadow of the ellipsoid.* It is the shadow of the ellipsoid as a straight map
 #   sees it, which is good if the Gaussian is small compared to its depth.
-# - *A Gaussian that is too small in the picture is made larger.* It may as well be moved towards
-#   the camera, as the arrows show; other cameras settle which.
+# - *A Gaussian that is too small in the picture is made larger.* It may also be moved towards the
+#   camera, as the arrows show; the other cameras decide between the two.
 
 # %% [markdown]
 # ## Exercises

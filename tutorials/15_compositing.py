@@ -106,8 +106,10 @@ assert close(behind[-1], pixel)
 # The same happens in every pixel of the trained scene. The figure shows the one in the middle of
 # the disc of anchor 29, which `13_covariance` turned and `14_projection` projected. The disc is
 # nearly opaque, $\alpha = 0.96$, and still it gives only 4.5 % of the pixel, because the splats in
-# front of it leave only 5 % of the light. The purple bars are those of anchor 29, the disc and one
-# more of its Gaussians. Behind them, next to nothing is left for the far side of the ball. [See it
+# front of it leave only 5 % of the light. The purple bars are those of anchor 29: the disc is the
+# last one, and another of its Gaussians lies in front of it. Behind them, next to nothing is left
+# for the far side of the ball. The figure shows only the six splats that give more than 1 % of the
+# pixel. All others together give 3 %, which its black line does not count. [See it
 # move](viewer/demo.html#step=splatting): the viewer paints the splats one after another, and shows
 # the weights in any pixel.
 
@@ -317,7 +319,9 @@ d, difference = lessons.adjoint(rng, forward, inputs, bars, ours, 1e-6)
 # splat, and down where the splat hides something that should be visible. The strength of this pull
 # is $-T_i\,(c_i - B_i)\cdot g$. If each pull is multiplied by $\alpha_i(p)\,K_i(p - \mu_i)$, as
 # derived above, the sum over all pixels is the arrow that moves the splat back. The right side
-# shows this for the one of the three Gaussians that feels the strongest pull.
+# shows this for the one of the three Gaussians that feels the strongest pull: at the edge of the
+# ball it hides the blue ball, so the pixels there (orange) want less of it, and the splat moves to
+# the left, away from them.
 
 # %%
 moved = {**inputs, "mean2d": inputs["mean2d"] + 3 * without.OWN[:, None] * [1, 0]}
@@ -407,12 +411,12 @@ assert np.allclose([*quality.values()], [33.48, 23.30, 19.87, 10.86, 33.48, 33.4
 
 # %% [markdown]
 # ## Exercises
-# **15.1** ●● In the pixel of "By hand", layer $1$ turns white, and as in `NeRF` every layer stores
-# a thickness $\tau_i$, with $\alpha_i = 1 - e^{-\tau_i}$. What changes in the gradient? Give four
-# numbers: the pixel and, for $g = 1$, the three gradients $\bar\tau_i$.
+# **15.1** ●● In the pixel of "By hand", the middle layer turns white, and as in NeRF every layer
+# stores a thickness $\tau_i$, with $\alpha_i = 1 - e^{-\tau_i}$. What changes in the gradient? Give
+# four numbers: the pixel and, for $g = 1$, the three gradients $\bar\tau_i$.
 #
-# **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$. An exponent
-# that rounding makes positive, far along a needle, counts as $0$.
+# **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$. Far along a
+# thin splat, rounding can make the exponent positive; it then counts as $0$.
 #
 # **15.3** ●●● Write its backward pass. Rows that are not visible get the gradient zero.
 #

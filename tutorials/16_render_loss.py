@@ -36,6 +36,7 @@ rng = np.random.default_rng(12)
 # %%
 from p4dgs_ref import load_scene
 from p4dgs_ref.equations import ssim
+from p4dgs_ref.training.objective import psnr
 
 photo = load_scene("bouncing").test[0].image[12:62, 4:58]
 truth = photo.astype(float) * 0.8 + 0.1  # [50, 54, 3], away from 0 and 1
@@ -48,7 +49,8 @@ changes = {
 }
 images = {name: truth + 0.02 * c / np.abs(c).mean() for name, c in changes.items()}
 scores = {name: ssim.forward(image, truth)[0] for name, image in images.items()}
-print({name: round(float(score), 3) for name, score in scores.items()})
+for name, score in scores.items():
+    print(f"{name}: SSIM {score:.3f}, PSNR {psnr(images[name], truth):.1f} dB")
 assert scores["brighter"] > scores["blurred"] > scores["noisy"]
 
 # %%
@@ -188,11 +190,11 @@ _ = lessons.adjoint(rng, of_image, {"image": image}, 1.0, {"image": ours}, 1e-6)
 
 # %% [markdown]
 # **In the trained scene.** The left picture shows how wrong the demo's file draws one view. The two
-# others show what the two parts of the loss ask of each pixel's red value, by gradient descent.
-# $\mathcal{L}_1$ pulls at a pixel that is nearly right as hard as at one that is wrong. SSIM
-# divides by the local variance. It pulls hardest at errors in smooth places, such as the shading of
-# the balls, and less at the strong edges of the slab. The purple ring is around *anchor 29*, on the
-# highlight of the red ball.
+# others show what the two parts of the loss ask of each pixel's red value: more of it where they
+# are purple, less where they are orange. $\mathcal{L}_1$ pulls at a pixel that is nearly right as
+# hard as at one that is wrong. SSIM divides by the local variance. It pulls hardest at errors in
+# smooth places, such as the shading of the balls, and less at the strong edges of the slab. The
+# purple ring is around *anchor 29*, on the highlight of the red ball.
 #
 # Going back through splatting (`15_compositing`), these pulls reach the colours of all Gaussians.
 # For all of them together, the part of $\mathcal{L}_1$ is larger; for the three of anchor 29, that
@@ -295,8 +297,8 @@ assert qualities[0][0] < qualities[1][0] and round(without[0]["ssim"], 4) == 0.9
 #   pictures.
 #
 # **Often misunderstood**
-# - *A higher SSIM is a higher PSNR.* The three pictures of the first figure have the same
-#   $\mathcal{L}_1$ and very different SSIM.
+# - *A higher SSIM is a higher PSNR.* In the first figure, the blurred picture has a higher SSIM
+#   than the noisy one (0.947 and 0.933), but a lower PSNR (30.0 and 32.0 dB).
 # - *$\mathcal{L}_{D-SSIM}$ is $(1-\mathrm{SSIM})/2$.* Some programs halve it. Here and in Gaussian
 #   splatting it is $1-\mathrm{SSIM}$.
 # - *SSIM is one number, whatever program computes it.* Window, border and constants differ, and

@@ -3,8 +3,8 @@
 #
 # **Promise.** After this tutorial you have followed one anchor through every equation, to a colour
 # and to a number of bits, with code as simple as a pocket calculator, and you know what is lost if
-# two right equations are joined wrongly. **Before it:** `01_offsets` to `15_compositing`. **Takes**
-# five seconds on two cores, 40 minutes of reading and 50 of exercises.
+# two right equations are connected wrongly. **Before it:** `01_offsets` to `16_render_loss`.
+# **Takes** five seconds on two cores, 40 minutes of reading and 50 of exercises.
 #
 # **Files:** [model.py](../p4dgs_ref/model.py), [render.py](../p4dgs_ref/splatting/render.py),
 # [objective.py](../p4dgs_ref/training/objective.py).
@@ -25,13 +25,13 @@ architecture.show("17_pipeline_by_hand")
 
 # %% [markdown]
 # ## What fails without it
-# Every equation can be right and the picture wrong, because one output is joined to the wrong
-# input. All shapes fit, so nothing is reported: two numbers of the direction stand where a network
-# expects the distance, or an array of quaternions is read axis by axis instead of child by child.
+# Every equation can be right and the picture wrong, because one output is connected to the wrong
+# input. All shapes fit, so nothing is reported: the direction stands where a network expects the
+# distance, or four quaternions are read component by component instead of child by child.
 #
 # The cell makes three such mistakes in the trained scene of `demo.p4dgs`, one at a time, and
-# changes no equation. The pictures show one view, and the numbers below them are means over the ten
-# test views. The splats of *anchor 29*, which all tutorials follow, are purple.
+# changes no equation. The pictures show one view, and the numbers above them are means over the ten
+# test views. The splats of *anchor 29*, which all tutorials follow, are ringed in purple.
 
 # %%
 from p4dgs_ref import evaluate, load_scene
@@ -56,9 +56,9 @@ wrong_axes = with_network("psi_r", first, last[:, axis_by_axis], last_bias[axis_
 s_a, l_a = trained.anchors.s_a, trained.anchors.l_a
 exchanged = replace(trained, anchors=trained.anchors._replace(s_a=l_a, l_a=s_a))
 joined = {
-    "all joined rightly": trained,
+    "as trained": trained,
     "direction before distance": wrong_order,
-    "quaternions axis by axis": wrong_axes,
+    "quaternions out of order": wrong_axes,
     "$s_a$ and $l_a$ exchanged": exchanged,
 }
 scores = {name: evaluate(model, scene)[0]["psnr_db"] for name, model in joined.items()}
@@ -71,7 +71,7 @@ show.compared("17_joined_wrongly", titles, tour.CAMERA, tour.T, tour.VIEW)
 
 # %% [markdown]
 # ## Claim
-# Fifteen tutorials explained one part each. This one connects them. Two chains of computation start
+# Sixteen tutorials explained one part each. This one connects them. Two chains of computation start
 # at an anchor. The first computes what we *see*: the Gaussians, the Gaussians at time $t$, the
 # colour $C(p)$ of a pixel $p$, and its error. The second computes what we *pay*: the hash feature
 # at the anchor's position, steps and probabilities, and bits. Eq. (15) adds the two results.
@@ -102,11 +102,11 @@ show.compared("17_joined_wrongly", titles, tour.CAMERA, tour.T, tour.VIEW)
 
 # %% [markdown]
 # ## By hand
-# Numbers with which a person can compute need a smaller model than the demo's, in which an anchor
-# has 16 features and 34 coded numbers. Ours has one anchor, at the origin, with the features $(0.5,
-# -1)$ and $k = 2$ children. The camera is at $(0, 0, -4)$ and looks along the z axis. The weights
-# of the networks are random multiples of one sixteenth. An anchor network has 2 + 1 + 3 = 6 inputs,
-# namely the features, the distance and the direction, and one hidden layer of 3 units.
+# A person can compute only with a smaller model than the demo's, in which an anchor has 16 features
+# and 34 coded numbers. Ours has one anchor, at the origin, with the features $(0.5, -1)$ and two
+# children, $k = 2$. The camera is at $(0, 0, -4)$ and looks along the z axis. The weights of the
+# networks are random multiples of one sixteenth. An anchor network has 2 + 1 + 3 = 6 inputs, namely
+# the features, the distance and the direction, and one hidden layer of 3 units.
 
 # %%
 from p4dgs_ref.model import Anchors, Design, context, predict
@@ -599,7 +599,7 @@ say("weight, slope, product", [weight, blue * (1 - blue), path])
 # back through Eqs. (6) to (1), where each of the four networks adds its share to the gradient of
 # $f_0$. The positions add nothing, because Eq. (1) contains no feature. We compare the sum with a
 # finite difference of our pocket-calculator code. This single number tests the derivations of
-# fifteen tutorials.
+# Eqs. (3), (4) and (6) and of all of splatting.
 
 
 # %%
@@ -654,8 +654,8 @@ assert 0 < change < 0.1
 
 # %% [markdown]
 # ## What this idea buys
-# Right connections are worth everything that the equations are worth: the three mistakes at the
-# beginning cost 8 to 17 dB. Others cost little and stay for years. The next cell gives the networks
+# A wrong connection can cost as much as a wrong equation: the three mistakes at the beginning cost
+# 8 to 17 dB. Others cost little and may stay unnoticed for years. The next cell gives the networks
 # the translation $T$ of the camera's matrix where Eq. (2) means the camera's centre, $-R^T T$. The
 # colours still change with the view, only not as in training. The paper has no numbers for
 # mistakes.
@@ -731,7 +731,8 @@ lessons.check_backward("17.3", my_backward, "spatial_prediction", "x_a", "f_a", 
 # last. The port below decodes the model from its file and renders it with the cameras of the
 # vectors. If frames differ although all single equations agree, a connection between them is wrong:
 # the order of features, distance and direction, the camera's centre, or the depth order. The
-# vectors call the renderer's setting `kernel`, the rule of the published kernel of 3DGS, "paper".
+# renderer's setting `kernel`, which follows the published kernel of 3DGS, has the name "paper" in
+# the vectors.
 
 # %%
 golden = decode((oracle.path() / "model.p4dgs").read_bytes())

@@ -20,7 +20,7 @@ lessons.check_number("13.1", np.diag([9, 1, 4]), by_hand[0])
 
 
 # %% [markdown]
-# **13.2** What is shared receives a sum, and the logarithm the factor $s$:
+# **13.2** A shared scale receives the sum of the three gradients, and its logarithm $s$ times that:
 # $\bar l = s\sum_i\bar s_i$. Here $\Sigma = e^{2l} I$ for every rotation, so
 # $\bar l = 2\,e^{2l}\,\mathrm{tr}\,\bar\Sigma = 6$, and no step that keeps $r$ a unit quaternion
 # changes anything: a ball learns no rotation.
