@@ -1,7 +1,8 @@
 """The kernels of NumPy and its BLAS: the same ones on every processor give the same bytes.
 
-Both choose their kernels by the processor. Other kernels add in another order, so the last digits
-differ. Those for AVX2 run on nearly every x86-64 processor since 2015, so `prepare` chooses them.
+Both choose their kernels to suit the processor. Other kernels add in another order, so the last
+digits differ. Those for AVX2 run on nearly every x86-64 processor since 2015, so `prepare` chooses
+them.
 """
 
 import ctypes
@@ -13,8 +14,8 @@ import warnings
 CHOSEN = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"  # variables that choose the kernels
 BLAS = "Haswell"  # the name of the kernels for AVX2 in OpenBLAS
 OWN = "the processor's own"
-PROMISED = f"{BLAS}, AVX2, 1 thread"  # what `prepare` chooses, and `kernels` reports then
-# The features above AVX2, by the first NumPy version with these names; others make it warn.
+PROMISED = f"{BLAS}, AVX2, 1 thread"  # what `kernels` reports after `prepare` chose them
+# The features above AVX2, by the first NumPy version with these names; it warns of other names.
 FEATURES = {
     (2, 4): "X86_V4 AVX512_ICL AVX512_SPR",
     (2, 3): "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR",
@@ -26,8 +27,8 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # the names of glibc in malloc.h
 def prepare() -> None:
     """Choose kernels and the number of BLAS threads, and tune the allocator, before NumPy loads.
 
-    What the environment sets already stays. `P4DGS_KERNELS=native` leaves the kernels to the
-    processor, and so does a system other than Linux, or a processor without AVX2 and FMA.
+    Variables that are already set stay as they are. With `P4DGS_KERNELS=native`, on a system other
+    than Linux, or without AVX2 and FMA, the kernels are left to the processor.
 
     The matrix products here are thin: a second BLAS thread gains nothing and costs waiting. glibc
     returns every large temporary array to the system and pays its page faults again in the next
@@ -62,7 +63,7 @@ def has_avx2():
 
 
 def lines_of(path):
-    """Return the lines of a file of Linux; none on another system."""
+    """Return the lines of a file if this is Linux and the file is there; otherwise none."""
     try:
         with open(path, encoding="utf-8", errors="surrogateescape") as file:
             return [*file] if sys.platform == "linux" else []
@@ -71,7 +72,7 @@ def lines_of(path):
 
 
 def choose_kernels():
-    """Ask for the kernels of AVX2 before NumPy loads; warn if it has loaded others."""
+    """Ask for the AVX2 kernels before NumPy loads; warn if it has already loaded others."""
     from importlib.metadata import version
 
     release = tuple(map(int, version("numpy").split(".")[:2]))
@@ -80,7 +81,7 @@ def choose_kernels():
     if "numpy" not in sys.modules:
         os.environ.update({**wanted, **os.environ})
     elif not wanted.keys() <= os.environ.keys() and kernels() == OWN:
-        warnings.warn(f"NumPy was imported before prepare(): the bits are {OWN}", stacklevel=3)
+        warnings.warn(f"NumPy was imported before prepare(): the kernels are {OWN}", stacklevel=3)
 
 
 def kernels():
@@ -99,12 +100,12 @@ def kernels():
 
 
 def other_kernels():
-    """Return a warning of kernels other than the promised ones, though these could be in force."""
+    """Return a warning if other kernels are in force although the promised ones are available."""
     found = kernels()
     if found == PROMISED or not (has_avx2() and openblas()):
         return ""
     return (
-        f"the kernels are {found}, not {PROMISED}: the same seed gives other bytes on other "
+        f"the kernels are {found}, not {PROMISED}: the same seed may give other bytes on other "
         "machines; call p4dgs_ref.prepare() before NumPy is imported, without P4DGS_KERNELS=native"
     )
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Attribute(NamedTuple):
-    """One attribute; all its numbers of an anchor share one step q (Q6)."""
+    """One attribute; all its numbers in an anchor share one step q (Q6)."""
 
     group: str  # the paper's letter; `model.Anchors` has the field "f_a" for "f"
     shape: tuple  # of an anchor's numbers; "d" and "k" are those of the Design

@@ -99,7 +99,7 @@ def declared_numbers(design, anchors):
 
 
 def over_limits(design, anchors):
-    """Return the limit of a file that a model with so many anchors breaks, in words, or "".
+    """Return which limit of the file a model with this many anchors exceeds, in words, or "".
 
     An anchor has at least 14 numbers, so MAX_NUMBERS keeps its count below MAX_ANCHORS, too.
     """
@@ -114,16 +114,16 @@ def over_limits(design, anchors):
 
 
 def most_numbers(size):
-    """Return how many numbers a file may declare whose sections have `size` bytes together."""
+    """Return how many numbers a file may declare if its sections have `size` bytes together."""
     return 2**22 + 2**4 * size
 
 
 def over_file(design, anchors):
-    """Return why no file can hold a model with so many anchors, in words, or "".
+    """Return why no file can hold a model with this many anchors, in words, or "".
 
-    A grid that is much larger than what its anchors read costs next to no bytes, so that decoders
-    refuse it. Attributes count as 8 bytes here, weights as 2, and a sign of the grid as 4, which is
-    more than an encoder needs; only the signs that an anchor reads can change.
+    A grid much larger than what its anchors read costs next to no bytes, so decoders refuse it.
+    Attributes count as 8 bytes here, weights as 2, and a sign of the grid as 4, which is more than
+    an encoder needs; only the signs that an anchor reads can change.
     """
     parts = declared_numbers(design, anchors)
     nodes = sum(2 ** len(axes) for axes, _ in design.grid)
@@ -160,7 +160,7 @@ class Gaussians(NamedTuple):
 
 
 def with_backward(equation, *inputs):
-    """Return the output of an equation's `forward`, and its `backward` bound to what that saved."""
+    """Return the output of an equation's `forward`, and its `backward` with `saved` bound to it."""
     output, saved = equation.forward(*inputs)
     return output, partial(equation.backward, saved)
 
@@ -269,7 +269,7 @@ def predict(design, networks, anchors, x_c, t=None):
 
 
 def bounding_box(x_a):
-    """Return the corners lo and hi [3] of the anchors' box, as float32 because a file has those."""
+    """Return the corners lo and hi [3] of the anchors' box, in float32 as a file stores them."""
     return x_a.min(axis=0).astype(np.float32), x_a.max(axis=0).astype(np.float32)
 
 

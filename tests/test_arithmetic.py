@@ -86,7 +86,7 @@ def test_prepare_after_numpy_says_so_once():
     pinned()
     done = python("-c", TOO_LATE)
     own = python("-c", "from p4dgs_ref.arithmetic import *; print(kernels())").stdout.strip()
-    assert done.stderr.count("the bits are the processor's own") == (own == arithmetic.OWN)
+    assert done.stderr.count("the kernels are the processor's own") == (own == arithmetic.OWN)
     assert python("-c", TOO_LATE, P4DGS_KERNELS="native").stderr == ""
 
 

@@ -1,8 +1,8 @@
 """`python -m p4dgs_ref.codec` prints the complete file format as one page.
 
 Every part of the format is the docstring of the module that implements it. The page begins at the
-outside of the file and leads to the tables of integers that a decoder needs. Its last part says how
-a picture is drawn from what was decoded.
+outside of the file and ends with the tables of integers that a decoder needs and with a section on
+how a picture is drawn from the decoded arrays.
 """
 
 import sys

@@ -19,18 +19,18 @@ The section ids are
     1 header     2 positions    3 features    4 scales             5 offset_scales    6 offsets
     7 masks      8 hash_grid    9 deformation_mlp    10 anchor_mlps    11 context_mlps
 
-The rows of the table, and therefore the sections, stand in strictly ascending order of id, so no
+The rows of the table, and therefore the sections, are in strictly ascending order of id, so no
 section occurs twice. The total length equals 18 + 9 S plus the lengths of all sections, and it is
-the size of the file: every byte belongs to something. No model within the limits of the header
+the size of the file: there are no unused bytes. No model within the limits of the header
 (`header.py`) needs more than 2^29 bytes.
 
 A reader checks, in this order: the size (at least 18 bytes), magic, version, S, total length, the
 checksum of the table, the ids and their order, the sum of the lengths, and the checksum of every
-section. All but the last need the size of the file and its first 117 bytes only. The next part of
-this page says which sections a model needs. `p4dgs-ref oracle export` writes small files on which a
-decoder can be tried, with what it must find in them and files that it must refuse.
+section. All but the last need only the size of the file and its first 117 bytes. The next part of
+this page says which sections a model needs. `p4dgs-ref oracle export` writes small files that test
+a decoder: valid ones with their decoded contents, and files that it must refuse.
 
-Worked numbers. The file whose only section is "masks" (id 7) with the bytes 01 02 03 has
+Worked example. The file whose only section is "masks" (id 7) with the bytes 01 02 03 has
 18 + 9 + 3 = 30 bytes:
 
     89 50 34 44 0D 0A 1A 0A  01  01  1E 00 00 00    magic, version, S, total length
@@ -70,7 +70,7 @@ class BitstreamError(ValueError):
     """A file that is damaged, or that no encoder of this version writes."""
 
     def __init__(self, section, offset, message):
-        """Keep where the mistake is.
+        """Store the place of the mistake beside the message.
 
         `offset` counts bytes from the start of the section, or of the file for "container".
         """
@@ -104,9 +104,9 @@ def write_container(sections):
 
 
 def read_file(path):
-    """Return the bytes of a file, which are read only after its frame was checked.
+    """Return the bytes of a file; the bulk is read only after its header and table are checked.
 
-    Raises BitstreamError for a wrong frame, and OSError.
+    Raises BitstreamError if one of these is wrong, and OSError.
     """
     with open(path, "rb") as file:
         size, start = os.fstat(file.fileno()).st_size, file.read(LONGEST_FRAME)
@@ -131,7 +131,7 @@ def read_container(data):
 
 
 def layout(data):
-    """Return what every byte of a file belongs to: a list of (name, bytes) with the sum len(data).
+    """Return what every byte of a file belongs to: (name, bytes) pairs that add up to len(data).
 
     Checks the container header and the section table, but not the checksums of the sections.
     """

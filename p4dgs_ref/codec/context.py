@@ -47,7 +47,7 @@ d. Last layer. Its output is y itself, with a + n fractional bits and the bound 
 
 Any of n, a and a + n may be negative.
 
-Worked numbers of a network. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1); in float16, -0.3
+Worked example of a network. x = (16384, -8192), W = (0.5, -0.3)^T and b = (0.1); in float16, -0.3
 is -0.300048828125 and 0.1 is 0.0999755859375.
 
     p = 0, p_b = -3, n = min(15, 38, 24) = 15, W' = (16384, -9832)^T, b' = 107347968
@@ -116,7 +116,7 @@ THE CONTEXT of an anchor follows from its position and the two networks.
 
 The columns of an anchor are ordered f, s, l, O; `file.py` gives the outputs of psi_p and psi_q.
 
-Worked numbers of a context. A level "xy" with R = 3 and T = 9, an anchor at (20000, 50000, any):
+Worked example of a context. A level "xy" with R = 3 and T = 9, an anchor at (20000, 50000, any):
 
     base = (0, 1)     t = (40000, 34465)
     nodes             3            4             6            7
@@ -168,7 +168,7 @@ def exponent(values):
 
 
 def round_off(values, s):
-    """Return values / 2^s rounded, ties up, if s > 0, else the values; integers in float64."""
+    """Return values / 2^s rounded, ties up, or the values if s <= 0; integers in float64."""
     return np.floor((values + 2**s // 2) * 2.0**-s) if s > 0 else values
 
 
@@ -222,7 +222,7 @@ def log2(values):
 
 
 class CodingContext(NamedTuple):
-    """What the coder needs of every anchor; columns as in `model.join`."""
+    """What the coder needs to know about every anchor; columns as in `model.join`."""
 
     q: np.ndarray  # [A, 4]  steps of f, s, l, O, float64
     mu_units: np.ndarray  # [A, n]  mu / q in units of 2^-MU_BITS, int64

@@ -1,7 +1,7 @@
 """The sections of a file: what each of them contains.
 
-The sections stand in this order, that of their ids. Gaussian sections and bit sections are the
-two kinds of streams in `streams.py`. A is the number of anchors.
+The sections are in this order, that of their ids. Gaussian sections and bit sections are the two
+kinds of streams in `streams.py`. A is the number of anchors.
 
     id  section          kind       content
     1   header           JSON       the design, A and the background (`header.py`)
@@ -27,14 +27,14 @@ this order: the container; header and its limits; a section that is missing or u
 then positions, anchor_mlps, context_mlps, deformation_mlp, hash_grid, masks, features, scales,
 offset_scales and offsets.
 
-Every section is present, also an empty one (offsets if no child is kept), with one exception:
+Every section is present, even an empty one (offsets if no child is kept), with one exception:
 deformation_mlp is present if and only if the header lists translation, rotation or scaling. A
 section of plain or float16 numbers has exactly their length. The box has lo <= hi and coordinates
-of at most 1e30 (the double) in magnitude, and every weight is finite. The float32 next to 1e30 is
-larger, so the largest coordinate is the float32 below it, 9.999999394896025e29.
+of at most 1e30 (the double) in magnitude, and every weight is finite. The float32 nearest to 1e30
+is larger, so the largest coordinate is the float32 below it, 9.999999394896025e29.
 
-Names. Every quantity has the same name everywhere, and the four groups of attributes always stand
-in the order f, s, l, O:
+Names. Every quantity has the same name everywhere, and the four groups of attributes are always in
+the order f, s, l, O:
 
     attribute of an anchor       base step   step   section
     f_a  its feature             Q_f         q_f    features
@@ -42,7 +42,7 @@ in the order f, s, l, O:
     l_a  its offset scaling      Q_l         q_l    offset_scales
     O_a  its children's offsets  Q_O         q_O    offsets
 
-The scales are coded as linear values. The header's Q_0 is the list of the four base steps. Of every
+The scales are coded as linear values. The header's Q_0 is the list of the four base steps. For each
 coded attribute, `symbol` is the integer in the file and q the step of its group. Its mean mu and
 deviation sigma reach the coder as the integers mu_units and sigma_units, and q itself is q_units
 times Q_0 2^-15. h is the hash feature from which psi_q predicts q, and psi_p predicts mu and sigma.
@@ -65,8 +65,8 @@ hidden widths in the header to its outputs:
                         outputs for translation, scaling and rotation, if the header lists them
 
 Values. A position is lo + n ((hi - lo) / 65535), n being its 16 bits, and an attribute is its
-symbol times q, the step of its anchor and group. Each operation on doubles is rounded by itself (no
-fused multiply-add). The offsets of masked children are 0.
+symbol times q, the step of its anchor and group. Each operation on doubles is rounded separately
+(no fused multiply-add). The offsets of masked children are 0.
 
 Encoding again. Encoding a decoded model gives the same bytes if this encoder wrote the file.
 Another valid file may give other bytes, because this encoder writes the header without spaces and
@@ -74,9 +74,9 @@ chooses the number of lanes, the length of the tail and the probability of a bit
 writes decodes to the same numbers, with three exceptions:
 
 1. Anchors without children are dropped, except that one anchor always stays. The published stream
-   `all_masked_but_one` has such anchors. The numbers of all other anchors stay.
+   `all_masked_but_one` has such anchors. The numbers of all other anchors stay the same.
 2. In a scene without view effects, hidden units of the anchor networks that are 0 for every anchor
-   are dropped. The pictures stay.
+   are dropped. The pictures stay the same.
 3. On an axis on which the box has no extent, every n stands for the same coordinate, so that a
    decoded model does not contain n, and 0 is stored. If n was not 0 (as in `one_anchor`), the
    anchor gets another hash feature and therefore other steps, and its attributes move by half a new
@@ -85,7 +85,7 @@ writes decodes to the same numbers, with three exceptions:
 A model is also refused if the file that this encoder writes is too short for the limits of work in
 `header.py`, which a longer file of the same model may meet.
 
-Worked numbers. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
+Worked example. lo = -1.5, hi = 1.5 and n = 20000 give -1.5 + 20000 * (3 / 65535) =
 -0.5844586861982147. With d = 4, k = 2, hidden = [8] and both view effects, anchor_mlps contains
 (9 8 + 9 2) + (9 8 + 9 6) + (9 8 + 9 8) + (9 8 + 9 6) = 486 numbers, which are 972 bytes.
 """
@@ -131,7 +131,7 @@ def attribute_columns(design):
 def sections_of(quantised):
     """Return the sections {name: bytes} of a quantised model.
 
-    Raises EncodeError for a model that decoders refuse because it would cost them too much time.
+    Raises EncodeError for a model that decoders would refuse because it costs too much time.
     """
     model, ctx = quantised.model, quantised.context
     signs = np.concatenate([grid.ravel() for grid in model.grids])

@@ -56,7 +56,7 @@ stays below 2^53 if differences are taken before products.
    The escape begins at cum = 2^24 - 1 and has frequency 1, so the total is exactly 2^24. cum
    increases with K, so a decoder can find a block by bisection and needs no table.
 
-Worked numbers. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_units = 9.
+Worked example. mu / q = 0.3 and sigma / q = 1.5 give mu_units = 307 and sigma_units = 9.
 
     e = 0, f = 9, step = 6, node = 5, mu' = 320, low = 0, c = 0, W = 13, n = 27, exp2[9] = 44376
     below block 0:  z = floor(-832 * 44376 / 4096) = -9014, i = 348, r = 202

@@ -17,25 +17,26 @@
     effects       list of the effects of the scene, none twice, in any order: some of "translation",
                   "rotation", "scaling", "view_color", "view_geometry", "occlusion", "background"
 
-All fields are there, none occurs twice, and there is no other. They stand in any order. background,
-Q_0 and tau_alpha are numbers that are read as the nearest double, as JSON.parse and strtod do; the
-ranges are those of this double. All other numbers are integers, written without point and
-exponent; a reader that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of
-two equal fields it silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys
-in the text, marks the numbers with a point or an exponent before it parses, and refuses both.
+Every field occurs exactly once, in any order, and there are no others. background, Q_0 and
+tau_alpha are numbers that are read as the nearest double, as JSON.parse and strtod do; the ranges
+apply to this double. All other numbers are integers, written without point or exponent; a reader
+that cannot tell 4 from 4.0 may accept both. JSON.parse is such a reader, and of two equal fields it
+silently keeps the last. The port in `viewer/p4dgs.js` therefore counts the keys in the text and
+marks numbers with a point or an exponent before it parses, and refuses repeated keys and such
+numbers in place of integers.
 
 A level with D axes stores T = min(R^D, its number in `table`) nodes with F entries each.
 
-The header promises the following numbers: for every anchor 3 + d + 6 + 3 k attributes and k masks,
-the entries of the grid, and the weights and biases of all networks that the file contains: if
+The header declares the following numbers: for every anchor 3 + d + 6 + 3 k attributes and k masks,
+the entries of the grid, and the weights and biases of all networks that the file contains; if
 nothing moves, psi_d does not count, whatever its widths. There are at most 2^24 entries of the grid
 and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes for each of
-these numbers, beside the file itself. This is enough to decode a file and to list where its bytes
-are. Drawing holds all A k Gaussians at once: a picture of 64x64 needs up to 1 KiB for each of them
-in addition. The header has at most 2^14 bytes, because a JSON parser needs many times the memory of
-its text.
+these numbers, beside the file itself. This is enough to decode a file and to list what its bytes
+are spent on. Drawing holds all A k Gaussians at once: a picture of 64x64 needs up to 1 KiB for each
+of them in addition. The header has at most 2^14 bytes, because a JSON parser needs many times the
+memory of its text.
 
-Time is bounded by n, the number of bytes of all sections together. The header promises at most
+Time is bounded by n, the number of bytes of all sections together. The header declares at most
 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
 psi_p and psi_q, without biases, and reads 2^D nodes of F entries in every level of D axes. A node
 counts as 64 (F + 8) multiplications, because memory is slower than arithmetic. All anchors together
@@ -84,7 +85,7 @@ def read_header(data):
     except (ValueError, RecursionError):
         pairs = []
     whole = isinstance(pairs, tuple) and len(dict(pairs)) == len(pairs)
-    require_header(whole, "expected a JSON object with no field twice")
+    require_header(whole, "expected a JSON object without repeated fields")
     fields = dict(pairs)
     require_header(
         fields.keys() == FIELDS.keys(), f"expected the fields {', '.join(FIELDS)}, once each"
@@ -92,7 +93,7 @@ def read_header(data):
     values = {name: read(name, fields[name]) for name, read in FIELDS.items()}
     require_header(
         len(set(values["effects"])) == len(values["effects"]),
-        "field 'effects': expected no effect twice",
+        "field 'effects': expected each effect at most once",
     )
     anchors, background = values.pop("anchors"), np.array(values.pop("background"))
     design = Design(**values)
@@ -102,7 +103,7 @@ def read_header(data):
 
 
 def check_work(design, anchors, size):
-    """Refuse a header that promises more work than `size` bytes of sections may cause."""
+    """Refuse a header that declares more work than `size` bytes of sections may cause."""
     numbers, most = sum(declared_numbers(design, anchors).values()), most_numbers(size)
     require_header(
         numbers <= most,

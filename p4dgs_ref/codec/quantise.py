@@ -97,7 +97,7 @@ def without_silent_units(model):
     input is not known, and the model is returned as it is. Features and weights must be the rounded
     ones of the file, because a unit that is 0 with these can be positive with others.
 
-    A sum of fewer terms can have another last bit, which decides about a unit whose terms cancel.
+    A sum of fewer terms can differ in its last bit, which matters for a unit whose terms cancel.
     Units are therefore removed until none is silent, so that a decoded model encodes to its file.
     """
     if {"view_color", "view_geometry"} & set(model.design.effects) or not model.design.hidden:
@@ -114,7 +114,7 @@ def without_silent_units(model):
         weights, biases = model.networks[name]
         rows, columns = [slice(None), *kept], [*kept, slice(None)]
         networks[name] = (
-            # In row order, as a decoder has them: the order may decide about the last bit, too.
+            # In row order, as a decoder has them: the order may affect the last bit, too.
             [np.array(W[i][:, j], order="C") for W, i, j in zip(weights, rows, columns)],
             [b[after] for b, after in zip(biases, columns)],
         )
@@ -161,7 +161,7 @@ def round_box(box):
 def decoded_design(model):
     """Return the design as a decoder will read it.
 
-    Raises EncodeError for one that it would refuse.
+    Raises EncodeError for a design that it would refuse.
     """
     try:
         return read_header(write_header(model))[0]
@@ -197,5 +197,5 @@ def check_shapes(model):
         )
     require_encodable(
         model.anchors.mask.dtype == bool and A,
-        "anchors mask: expected booleans of one anchor or more",
+        "anchors mask: expected booleans for at least one anchor",
     )

@@ -1,7 +1,7 @@
 """The entropy coder: rANS with a 64-bit state, in one lane for short messages, else in several.
 
 MODEL. A message is a sequence of entries from frequency tables, and the decoder knows which table
-each of them is from. All tables stand in one ascending array of integers, `keys`: table u lists its
+each of them is from. All tables form one ascending array of integers, `keys`: table u lists its
 entries as (u << 24) + cum, beginning with cum = 0, and the last element of the array is (number of
 tables) << 24. Entry i has start = keys[i] mod 2^24 and the frequency keys[i+1] - keys[i], from 1 to
 2^24 - 1. The frequencies of every table add up to 2^24.
@@ -50,7 +50,7 @@ The decoder reverses these steps, with push and pop exchanged. In their order it
 
 With several lanes the tail is never empty.
 
-BYTES, all integers little-endian. A message of no symbols has no bytes. Any other has
+BYTES, all integers little-endian. A message of no symbols has no bytes. Any other message has
 
     1 byte          bits 0 to 3: log2 L, from 0 to 10; bits 4 to 6: zero; bit 7: whether lane 0
                     has a high word
@@ -62,7 +62,7 @@ What follows the last word that is read does not belong to the message. The enco
 This one takes the largest power of two that leaves about 5000 bits to each lane, at most 1024, or 1
 if that would be below 32.
 
-Worked numbers. One table with the keys 0, 12582912, 16777216 gives its two entries the
+Worked example. One table with the keys 0, 12582912, 16777216 gives its two entries the
 probabilities 3/4 and 1/4. The message 0 1 0 is pushed from its last symbol on: x = 2^31 becomes
 2860515328, then 11454644224, then 15271460864 = 0x38E400000. The bytes are
 
@@ -206,7 +206,7 @@ def decode(data, tables, keys, at=0, section="stream", pop_rows=None):
     if len(tables) == 0:
         return entries, at
     lanes, left, x, start = read_head(data, at, len(tables), section)
-    # A symbol takes one word at most, and a lane to be opened three: the message has no more words.
+    # A symbol takes at most one word and the opening of a lane at most three: no more are needed.
     count = min((len(data) - start) // 4, len(tables) + 3 * lanes)
     words = np.frombuffer(data, "<u4", count, start)
     end = start + 4 * count

@@ -16,7 +16,7 @@ predicts for them, and are decoded from it:
     >>> (decode_gaussian(data, mu_units, sigma_units) * q).tolist()
     [0.0, 2.5, -20.0]
 
-In a file, sender and receiver compute mu_units and sigma_units in integers alone (`context.py`).
+In a file, encoder and decoder compute mu_units and sigma_units in integers alone (`context.py`).
 
 GAUSSIAN STREAM. It contains n symbols, |k| <= 2^31, whose mu_units and sigma_units the decoder
 already knows. The stream of no symbols is empty. Otherwise it has two parts:
@@ -43,7 +43,7 @@ that all bits are zero and f = 2^24 that all are one; nothing follows. For any o
 message of the n bits follows. Its only table has the keys 0, 2^24 - f, 2^24: entry 0 is a zero,
 entry 1 a one. An encoder takes f = max(floor(ones * 2^24 / n), 1), and 0 if there are no ones.
 
-Worked numbers. The symbols 0, 5 and -40 above have mu_units = 307 and sigma_units = 9, so c = 0 and
+Worked example. The symbols 0, 5 and -40 above have mu_units = 307 and sigma_units = 9, so c = 0 and
 W = 13 (`gaussian_table.py`). -40 is coded as an escape with v = 2 (-13 + 40) = 54 = 2^5 + 22: its
 raw bits are 00000 1 01101, the bytes A0 05. The whole stream is
 
@@ -65,8 +65,8 @@ MAX_GAMMA = 33  # of the b of an escape
 def encode_gaussian(symbols, mu_units, sigma_units, lanes=None, push_rows=None):
     """Encode symbols [n], each under its own Gaussian, and return the stream (Eqs. 10 and 11).
 
-    All three are integers in one axis. Any symbol up to 2^31 in magnitude can be coded, however
-    improbable. `lanes` and `push_rows` are passed to `rans.encode`.
+    All three are one-dimensional arrays of integers. Any symbol up to 2^31 in magnitude can be
+    coded, however improbable. `lanes` and `push_rows` are passed to `rans.encode`.
     """
     model = gaussian_model(mu_units, sigma_units)
     entries, gamma = find_entries(symbols, model)
@@ -87,7 +87,7 @@ def decode_gaussian(data, mu_units, sigma_units, section="stream", pop_rows=None
 
 
 def decode_symbols(data, model, section="stream", pop_rows=None):
-    """Do what `decode_gaussian` does with a model already built: mu and sigma can be freed."""
+    """Do what `decode_gaussian` does with a model already built, so mu and sigma can be freed."""
     entries, start = rans.decode(data, model.table, model.keys, 0, section, pop_rows)
     # In pieces, so that only a few bytes per symbol are in use at any time.
     pieces = [slice(a, a + CHUNK) for a in range(0, len(entries), CHUNK)]
@@ -126,7 +126,7 @@ def expect_end(data, end, section):
 
 
 def ideal_bits_gaussian(symbols, mu_units, sigma_units):
-    """Return the bits [n] that symbols cost by integer frequencies, with escapes and raw bits.
+    """Return the bits [n] that symbols cost at their integer frequencies, escapes and raw bits too.
 
     Their sum is the entropy of the stream.
     """

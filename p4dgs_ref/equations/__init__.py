@@ -1,4 +1,4 @@
-"""The paper, one file per equation. They are listed in the order of the paper; read them so.
+"""The paper, one file per equation, listed here in the order of the paper: read them in this order.
 
 Spatial prediction turns anchors into Gaussians: `offsets` (Eq. 1), `view` (2), `mlp`, the network
 behind every psi, `anchor_network`, `opacity` (3), `masking`, `color` and `rotation` (3 by analogy),

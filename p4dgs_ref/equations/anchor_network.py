@@ -17,7 +17,7 @@ def forward(
     d_vc,  # [A, 3]  viewing direction; [A, 0] likewise
     weights,  # psi, d + 4 -> k width
     biases,
-    width,  # []  how many numbers a child has
+    width,  # []  outputs per child
 ):
     """Return the outputs psi [A, k, width], child by child, and what `backward` needs."""
     x = np.concatenate([f_a, delta_vc, d_vc], axis=1)

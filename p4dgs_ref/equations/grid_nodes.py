@@ -5,9 +5,9 @@ cell around it with multilinear weights. The level's table has T rows of F entri
 row may belong to several nodes. Node (i, j, k), in the order of the level's axes, has the row
 
     i + j res + k res**2                           if the table contains all nodes
-    (i XOR 2654435761 j XOR 805459861 k) mod T     elsewhere, products modulo 2**32
+    (i XOR 2654435761 j XOR 805459861 k) mod T     otherwise, with products modulo 2**32
 
-This is the hash of Instant-NGP. Nodes on the border are included, HAC excludes them (Q11).
+This is the hash of Instant-NGP. Nodes on the border are included; HAC excludes them (Q11).
 """
 
 import numpy as np
@@ -40,8 +40,8 @@ def nodes(x_a, lo, hi, axes, res, table):
 
     D is the number of the level's axes. The weights of an anchor add up to 1. Positions outside the
     box are moved to its nearest face; on an axis without extent (hi = lo) all anchors are at the
-    first node. Raises ValueError for an axis other than x, y, z, for a position that is NaN and for
-    a box that is not finite.
+    first node. Raises ValueError for an axis other than x, y, z, for a NaN position and for a box
+    that is not finite.
     """
     axis = ["xyz".index(name) for name in axes]
     wrong = np.argwhere(np.isnan(x_a))

@@ -15,7 +15,7 @@ def forward(
     x_a,  # [A, 3]  anchor positions (scene units)
     lo,  # [3]  corner of the box that the grids cover
     hi,  # [3]  opposite corner; positions outside the box are moved to its nearest face
-    grids,  # list of [T, F], one a level: parameters, of which only the sign is used
+    grids,  # list of [T, F], one per level: parameters, of which only the sign is used
     resolutions,  # for every level its axes and nodes per axis: (("xyz", 8), ("xy", 16), ...)
 ):
     """Return h [A, I], F numbers for each level in turn (I = L F), and what `backward` needs.
@@ -39,9 +39,9 @@ def backward(saved, h_bar):
 
 
 def query(located, grids):
-    """Do what `forward` does for positions that `locate` has placed.
+    """Do what `forward` does for positions that have already gone through `locate`.
 
-    In stage 4 the positions are fixed while the grids learn.
+    In stage 4 the positions are fixed while the grids learn, so they are located only once.
     """
     signs = np.where(np.concatenate(grids) >= 0, 1, -1).astype(located.dtype)
     h = (located @ signs).reshape(-1, len(grids) * signs.shape[1])

@@ -12,11 +12,11 @@ import numpy as np
 
 
 def forward(
-    grids,  # list of [T, F], one a level: parameters; entries >= 0, also -0, count as +1 (Q11)
+    grids,  # list of [T, F], one per level: parameters; entries >= 0, also -0, count as +1 (Q11)
 ):
     """Return R_hash [] in bits, the counts n_pos and n_neg [], and what `backward` needs.
 
-    No levels or no entries cost 0 bits.
+    Without levels or entries the rate is 0.
     """
     n = sum(grid.size for grid in grids)
     n_pos = sum(int(np.count_nonzero(grid >= 0)) for grid in grids)
@@ -28,14 +28,14 @@ def forward(
 def backward(saved, R_hash_bar):
     """Return the gradients of the grids, straight-through.
 
-    The sign counts as the identity where |parameter| <= 1; beyond, the gradient is 0. It is also 0
-    if all signs agree, although the slope is infinite there.
+    The sign counts as the identity where |parameter| <= 1; elsewhere the gradient is 0. It is also
+    0 if all signs agree, although the slope is infinite there.
     """
     grids, n_pos, n = saved
     slope = 0.0
     if 0 < n_pos < n:
         # dR / dN_pos = log2(N_neg / N_pos): the probabilities change with the counts, too, but they
-        # minimise R for these counts, so that this adds nothing. A sign adds (1 + sign) / 2 to
+        # minimise R for these counts, so their change adds nothing. A sign adds (1 + sign) / 2 to
         # N_pos, hence one half.
         slope = 0.5 * np.log2((n - n_pos) / n_pos) * float(R_hash_bar)
     return {"grids": [np.where(np.abs(grid) <= 1, slope, 0).astype(grid.dtype) for grid in grids]}

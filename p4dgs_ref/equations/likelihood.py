@@ -3,11 +3,11 @@
     p    = Phi((f_noisy + q/2 - mu) / sigma) - Phi((f_noisy - q/2 - mu) / sigma)
     bits = -log2(p)
 
-P-4DGS, section 3.3 (context entropy coding). `literal` is this formula. It is infinite from 9
-sigma above the mean on (6 in float32), because both Phi round to 1. It loses digits wherever the
-bin is narrow or far from the mean, because it subtracts two nearly equal numbers. `forward` returns
-the true bits to 1e-12: it measures from the mean outwards, where both tails are small numbers with
-all their digits, and computes log p in one of four ways:
+P-4DGS, section 3.3 (context entropy coding). `literal` is this formula. For a bin one sigma wide it
+is infinite from 9 sigma above the mean on (6 in float32), because both Phi round to 1. It loses
+digits wherever the bin is narrow or far from the mean, because it subtracts two nearly equal
+numbers. `forward` returns the true bits to 1e-12: it measures from the mean outwards, where both
+tails are small numbers with all their digits, and computes log p in one of four ways:
 
     where is the bin            log p                                         function
     around the mean             log(1 - left tail - right tail)               `around_the_mean`
@@ -46,8 +46,8 @@ def forward(
 
     Accurate for |f_noisy - mu| <= 1000 sigma and 1e-12 <= q / sigma <= 1e6; smooth everywhere,
     without a floor under p. Computed in float64, returned in the precision of f_noisy. Raises
-    ValueError if f_noisy has no floats, or if sigma, q or q / sigma is so small or so large that
-    slopes overflow.
+    ValueError if f_noisy is not floating-point, or if sigma, q or q / sigma is so small or so large
+    that slopes overflow.
     """
     check_ranges(sigma, q, f_noisy.dtype)
     results = np.empty((4, f_noisy.size), f_noisy.dtype)
@@ -120,7 +120,7 @@ def around_the_mean(low, high, z, w):
 
 
 def beside_the_mean(low, high, z, w):
-    """Return the same of a bin on one side: p is the nearer tail minus the one beyond."""
+    """Return the same for a bin on one side: p is the nearer tail minus the one beyond."""
     p = ndtr(-low) - ndtr(-high)
     return np.log(p), phi(low) / p
 
@@ -153,7 +153,7 @@ def phi(v):
 
 @np.errstate(all="ignore")
 def check_ranges(sigma, q, dtype):
-    """Raise ValueError unless dtype is one of floats in which no slope overflows; NaN passes."""
+    """Raise ValueError unless dtype is floating-point and no slope overflows in it; NaN passes."""
     if not np.issubdtype(dtype, np.floating):
         raise ValueError(f"f_noisy: expected floats, got {dtype}")
     least = np.finfo(dtype).tiny

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def forward(
-    x,  # [N, I]  one sample a row
+    x,  # [N, I]  one sample per row
     weights,  # psi, I -> O
     biases,
 ):

@@ -11,7 +11,7 @@ from .numerics import in_precision_of
 def forward(
     L_render,  # []  rendering loss of Eq. (16)
     L_rate,  # []  bits per coded value of Eq. (17), comparable between scenes (Q12)
-    lambda_rate,  # []  weight of the rate; the paper gives no value, HAC 5e-4 to 4e-3
+    lambda_rate,  # []  weight of the rate; the paper gives no value, HAC uses 5e-4 to 4e-3
 ):
     """Return L_total [] and what `backward` needs."""
     weight = in_precision_of(L_rate, lambda_rate)

@@ -3,7 +3,7 @@
     delta_vc = |x_a - x_c|        d_vc = (x_a - x_c) / delta_vc
 
 P-4DGS, section 3.2 (spatial prediction). The anchor position is the canonical one, not that of a
-deformed Gaussian (Q22). An anchor exactly in the camera has distance, direction and gradient 0.
+deformed Gaussian (Q22). An anchor exactly at the camera has distance, direction and gradient 0.
 """
 
 import numpy as np

@@ -18,15 +18,15 @@ its end is quoted when something goes wrong.
               fails may add the "arrays" that it has so far
 
 `differentiable` lists the inputs whose gradients are expected in `in_bar`; others are ignored. A
-port may say in its first line what it lacks. With "gradients": false its outputs alone are
-judged, and `in_bar` may be missing. With a list "subjects", such as ["offsets", "codec"], it is
-asked for these alone, and no other subject is required of it. The report says both.
+port may say in its first line what it lacks. With "gradients": false only its outputs are judged,
+and `in_bar` may be missing. With a list "subjects", such as ["offsets", "codec"], it is asked for
+these only, and no other subject is required of it. The report says both.
 
 ARRAY is {"dtype": "F64", "shape": [5, 3], "data": BASE64}: the numbers row by row, little-endian,
-with safetensors' names of types. Lists are flat: weights.0, weights.1. Floats have the dtype of the
-first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end stdin
-is closed, and a port that still runs a second later is killed, with all processes that it started
-if the system has process groups (Windows has none).
+with the type names of safetensors. Lists are flat: weights.0, weights.1. Floats have the dtype of
+the first line. The time limit of an answer covers compilation; `--timeout` raises it. At the end
+stdin is closed, and a port that still runs a second later is killed, with all processes that it
+started if the system has process groups (Windows has none).
 """
 
 import base64
@@ -54,7 +54,7 @@ VERSION = 1
 # many starts of the process, everything is given up.
 PATIENCE = 3
 MAX_LINE_BYTES = 2**26  # of an answer
-QUOTE_LENGTH = 300  # characters of stderr, or of a line that is no answer
+QUOTE_LENGTH = 300  # characters of stderr, or of a line that is not an answer
 
 
 class AdapterError(ValueError):
@@ -62,10 +62,10 @@ class AdapterError(ValueError):
 
 
 class Adapter(contextlib.AbstractContextManager):
-    """A port that a command starts. Used as a context manager, it ends the process on exit."""
+    """A port that a command starts. As a context manager, it ends the process on exit."""
 
     def __init__(self, command, timeout=10.0, dtype="float64"):
-        """Take the command of a port: one text, as for a shell, or a list of words.
+        """Take the command of a port: one string, as for a shell, or a list of words.
 
         `timeout` is for each case and for the start, in seconds. Raises AdapterError.
         """
@@ -121,7 +121,7 @@ class Adapter(contextlib.AbstractContextManager):
         self.close()
 
     def close(self, grace=1.0):
-        """End the process, if it runs, and all that it started; return the end of its stderr."""
+        """End the process, if it runs, and all that it started; return the last of its stderr."""
         child, self.child = self.child, None
         return child.end(grace) if child else ""
 
@@ -229,7 +229,7 @@ class Child:
     def exchange(self, request, seconds):
         """Send a line and return the next line that the process writes.
 
-        If the process wrote extra lines earlier, that is the oldest one which was not read.
+        If the process wrote extra lines earlier, this is the oldest one that has not been read.
         Raises PortError of the kinds died, hung and nonsense (a line without an end).
         """
         deadline, lines = time.monotonic() + seconds, []
@@ -286,7 +286,7 @@ class Child:
 
 
 def words_of(command):
-    """Return the words of a command, as a shell would find them; none if a quote has no end."""
+    """Return the words of a command, as a shell would split it; none if a quote is not closed."""
     if os.sep == "\\":  # Windows: a backslash belongs to a path
         command = command.replace("\\", r"\\")
     try:
@@ -303,7 +303,7 @@ def start_thread(function, *arguments):
 
 
 def pack(array):
-    """Return an array in the form ARRAY of the protocol."""
+    """Return an array as an ARRAY of the protocol."""
     record, data = record_of(array)
     return {**record, "data": base64.b64encode(data).decode()}
 

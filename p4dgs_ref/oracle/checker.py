@@ -60,10 +60,9 @@ def check(forward, key, vjp=None, strict=False, dtype="float64"):
     `key` may be the id of a single case. `forward(**inputs)` returns the outputs: a dictionary, a
     tuple in order or one array. `vjp(inputs, cotangents)` returns {input: gradient}; without it
     only outputs are judged. Arrays are whatever `np.asarray` reads, in the precision `dtype`, in
-    which the inputs are given. With `strict`, answers fail that are acceptable only because the
-    printed formula is no better. Raises KeyError if `key` is neither a subject nor a case,
-    TypeError if `forward` is not a function, and ValueError if `dtype` is neither float64 nor
-    float32.
+    which the inputs are given. With `strict`, answers that are acceptable only because the printed
+    formula is no better fail. Raises KeyError if `key` is neither a subject nor a case, TypeError
+    if `forward` is not a function, and ValueError if `dtype` is neither float64 nor float32.
     """
     if not callable(forward):
         raise TypeError(f"forward: expected a function, got {type(forward).__name__}")
@@ -154,12 +153,12 @@ def judge(case, port, strict=False):
 def judge_answer(case, got, roles=ROLES, strict=False):
     """Return the Result of one case for the answer {"out.x": array, "in_bar.x_a": array}.
 
-    A tensor whose bound is too wide to judge it may still fail: if it is missing, has another
-    shape, is not finite or is beyond even that bound.
+    A tensor whose bound is too wide to judge it can still fail: if it is missing, has another
+    shape, is not finite or exceeds even that bound.
     """
     got = {n: a for n, a in got.items() if n in case.tensors or not n.startswith("in_bar.")}
     is_valid, not_judged = case.record["result"] == "valid", case.not_judged(precision(got))
-    # Of the group `inside` a port may answer some tensors; of all others every one is expected.
+    # In the group `inside` a port may answer some tensors only; elsewhere all are expected.
     some = case.group == "inside" and expected_tensors(case.tensors).keys() & got.keys()
     names = [n for n in some or expected_tensors(case.tensors) if n.startswith(roles)]
     if case.tolerance(precision(got)) is None:
@@ -213,7 +212,7 @@ def findings_of(case, got, names):
 
 
 def evidence(case, got, result):
-    """Return what the doctor is shown of a case, with the scales of the printed formula.
+    """Return what the doctor sees of a case, with the scales of the printed formula.
 
     Tensors that are off, but no further than the printed formula, say nothing about a mistake.
     """

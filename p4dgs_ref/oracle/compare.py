@@ -6,9 +6,9 @@ tolerance `eps_S` for the port's precision; `tolerance.py` says how both were me
 A few cases ask for more digits than the paper's formulas have when they are computed as printed and
 differentiated by the textbook: the slope of tanh, 1 - tanh(y)**2, cancels if tanh is close to 1,
 and the square of a long vector overflows. A port that uses automatic differentiation has the right
-formula and misses these cases. So does a right port in float32 throughout where this project
-computes in float64 inside. How far such ports are off was measured with the printed formulas, every
-intermediate result rounded. The file PRINTED contains:
+formula and misses these cases. So does a correct port that uses float32 throughout where this
+project computes in float64 inside. How far such ports are off was measured with the printed
+formulas, with every intermediate result rounded. The file PRINTED contains:
 
     <precision>/<subject>/<case>/scale.out.x    the scale S of the printed formula
     <precision>/<subject>/<case>/range.out.x    where it leaves the range of the precision: outputs
@@ -64,7 +64,7 @@ class Result(NamedTuple):
     findings: tuple = ()  # of Finding
     explanation: str = ""
     hint: str = ""  # a known mistake that agrees with most of the wrong answers, not with all
-    not_judged: tuple = ()  # names of tensors of which wrong ones would pass too
+    not_judged: tuple = ()  # names of tensors for which wrong answers would pass too
     recipe: str = ""  # keeps the digits that this answer and the printed formula lack
     group: str = ""  # of subjects that a port may leave out
 

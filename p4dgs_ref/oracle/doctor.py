@@ -3,7 +3,7 @@
 A known mistake is one way in which ports go wrong. `tests/workshop/mistakes` defines each as a
 change of behaviour and computes what a port with that mistake answers to the published cases. The
 folder `mistakes_v1` contains these answers: `mistakes.json` lists the mistakes, and one compressed
-safetensors file a subject contains every tensor that a mistake gets wrong, as
+safetensors file per subject contains every tensor that a mistake gets wrong, as
 `<mistake>/<case>/<tensor>`. Tensors that are not in the file are right in spite of the mistake.
 For a mistake's `noisy` cases, in which its answers are rounding noise, nothing is stored and any
 answer agrees.

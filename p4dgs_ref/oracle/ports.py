@@ -157,7 +157,7 @@ def refuse_not_judged(case, dtype):
 
 
 def refuse_other_types(case, got, dtype):
-    """Raise PortError, kind nonsense, where floats of an answer have not the type of the check."""
+    """Raise PortError, kind nonsense, if floats of an answer do not have the type of the check."""
     for name in case.tensors.keys() & got.keys():
         if case.tensors[name].dtype.kind == "f" and got[name].dtype != dtype:
             message = f"{name}: expected {dtype}, in which the port is checked, got "
@@ -189,12 +189,12 @@ def _arrays(values, prefix, case):
             raise TypeError(f"{name}: expected an array without masked elements")
         if value is not None:
             arrays[name] = list(value) if is_list else np.asarray(value)
-    # The order of the bytes of a number says nothing about it.
+    # The byte order of an array does not matter.
     flat = flatten(arrays, prefix).items()
     return {name: a.astype(a.dtype.newbyteorder("="), copy=False) for name, a in flat}
 
 
 def _description(value):
-    """Return a few words on a value of the wrong kind."""
+    """Return a few words that describe a value of the wrong kind."""
     is_several = isinstance(value, (tuple, list))
     return f"{len(value)} of them" if is_several else f"one {type(value).__name__}"

@@ -110,7 +110,7 @@ def names(of=""):
 
 
 def suggestion(name, known):
-    """Return the end of a message about an unknown name: the nearest known one, then all."""
+    """Return the end of a message about an unknown name: the closest known name, then all."""
     nearest = get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}? " if nearest else ""
     return f"{hint}expected one of {', '.join(known)}"
@@ -172,7 +172,7 @@ def flatten(values, prefix=""):
 def unflatten(tensors, prefix):
     """Undo `flatten`. The arrays are copied, because a port may write into its inputs.
 
-    Floats become float64, also if they are stored as float32 to save space.
+    Floats become float64, even if they are stored as float32 to save space.
     """
     values = {}
     for name, a in tensors.items():

@@ -1,4 +1,4 @@
-"""A checker's report: as text for a person, as JSON for continuous integration."""
+"""A checker's report: text for a person, JSON for continuous integration."""
 
 import json
 from collections import Counter
@@ -43,13 +43,13 @@ def lacking_lines(report):
     """Yield what the port said in its first line that it lacks."""
     absent = Counter(r.subject for r in report.results if r.verdict == "absent")
     if report.says.get("gradients") is False:
-        yield "the port answers no gradients: outputs alone were judged"
+        yield "the port gives no gradients: only outputs were judged"
     if absent:
         yield f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"
 
 
 def left_out_lines(report):
-    """Return a line for every level or group with cases that the port may leave out, and does."""
+    """Return a line for every level or group of which the port leaves out cases, as it may."""
     left = Counter(
         r.group or r.level
         for r in report.results
@@ -59,7 +59,7 @@ def left_out_lines(report):
 
 
 def not_judged_lines(report):
-    """Yield a line with the cases and tensors of which no bound tells wrong answers."""
+    """Yield a line with the cases and tensors for which no bound catches wrong answers."""
     results = [r for r in report.results if r.not_judged or r.verdict == "not_judged"]
     names = [
         r.id if r.verdict == "not_judged" else f"{r.id} ({', '.join(r.not_judged)})"
@@ -80,7 +80,7 @@ def acceptable_lines(report):
 
 
 def divergence_lines(report):
-    """Yield the first wrong case with its explanation, then a line or two a subject."""
+    """Yield the first wrong case with its explanation, then a line or two per subject."""
     first, required = report.first, [r.verdict for r in report.results if r.required]
     if first:
         yield from ("", f"first divergence: {name_of(first.equation)}")

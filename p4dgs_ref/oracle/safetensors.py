@@ -15,7 +15,7 @@ import numpy as np
 
 from ..messages import shorten
 
-MAX_HEADER_BYTES = 2**20  # above it a length is damaged
+MAX_HEADER_BYTES = 2**20  # a larger length is damaged
 DTYPES = {
     "F64": "<f8",
     "F32": "<f4",
@@ -64,7 +64,7 @@ def load(data):
         require_tensor(
             naturals(offsets) and len(offsets) == 2,
             f"{name}.data_offsets",
-            "expected two integers, none of them negative",
+            "expected two non-negative integers",
         )
         arrays[name] = array_of(name, record, body[slice(*offsets)])
     return arrays
@@ -76,12 +76,12 @@ def array_of(name, record, data):
     require_tensor(
         code,
         f"{name}.dtype",
-        f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged, the vectors' page says why",
+        f"expected one of {', '.join(DTYPES)}; bfloat16 is not judged; the vectors' page says why",
     )
     require_tensor(
         naturals(shape) and len(shape) <= 32 and max(shape, default=0) < 2**31,
         f"{name}.shape",
-        "expected a list of integers, none of them negative",
+        "expected a list of non-negative integers",
     )
     size = math.prod(shape) * np.dtype(code).itemsize  # Python's integers do not overflow
     require_tensor(
@@ -102,7 +102,7 @@ def require_tensor(condition, where, expected):
 
 
 def json_object(text) -> Any:
-    """Return the object that a text in JSON describes, or None where it describes none."""
+    """Return the object in a JSON text, or None if the text is not a JSON object."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -111,5 +111,5 @@ def json_object(text) -> Any:
 
 
 def naturals(value):
-    """Whether a value from JSON is a list of integers, none of them negative."""
+    """Whether a value from JSON is a list of non-negative integers."""
     return isinstance(value, list) and all(type(n) is int and n >= 0 for n in value)

@@ -9,9 +9,9 @@ output or a gradient,
 
 and y is right within c eps S, with the eps of the port's precision.
 
-The second term of S is measured. All inputs, for gradients the cotangents too, are changed by
-+-delta of themselves with random signs, PROBES times; the root mean square of the change of y,
-divided by delta, estimates the term. For a sum it is the size of the summands; for other functions
+The second term of S is measured. All inputs (and for gradients the cotangents) are changed by the
+fraction delta of their value with random signs, PROBES times; the root mean square of the change
+of y, divided by delta, estimates the term. For a sum it is the size of the summands; for others
 it is the effect of rounding the inputs. `tests/workshop/measured.py` measures the tolerance c.
 
 The functions below take `answer(inputs, cotangents)`, which returns outputs and gradients as flat
@@ -54,7 +54,7 @@ def cotangents_of(eq, outputs, seed):
 
 
 def scales(answer, inputs, cotangents, flat, seed):
-    """Return S of every float tensor in `flat`, the answer: an array like it, () for an image.
+    """Return S for every float tensor in the answer `flat`: an array like it, () for an image.
 
     The seed is a string.
     """
@@ -86,7 +86,7 @@ def _spread(answer, inputs, cotangents, flat, delta, rng):
 def _scale(name, values, wide, narrow):
     size = np.where(np.isfinite(values), np.abs(values), 0)
     # At a tie or a kink, y jumps by the same amount for a delta that is sixteen times smaller, so
-    # the quotient grows by sixteen. There the second term is left out and S is |y|.
+    # the quotient grows sixteen-fold. There the second term is left out and S is |y|.
     size = np.maximum(size, np.where(narrow > 4 * wide, 0, wide))
     largest = size.max(initial=0)
     is_image = name.split(".")[1] in IMAGES

@@ -1,10 +1,10 @@
 """Reads scenes in the layout of D-NeRF and of instant-ngp: transforms*.json beside pictures.
 
 D-NeRF has transforms_train.json and transforms_test.json; without the latter, the views of
-transforms_val.json are for testing. A capture has one file alone, transforms.json or one of these:
+transforms_val.json are for testing. A capture has only one file, transforms.json or one of these:
 of its pictures, sorted by name, the first and every eighth after it are for testing, the others for
-training. Frames of a capture whose picture is missing are left out, unless more than half are. If
-no frame has a time, nothing moves: all times are 0.
+training. Frames of a capture whose picture is missing are left out; if more than half are missing,
+the capture is refused. If no frame has a time, nothing moves: all times are 0.
 
 The files count pixels from the corner of the image, and their cameras look along -z with y up, as
 in OpenGL. Ours count from the centre of the first pixel and look along +z with y down, as in OpenCV
@@ -13,7 +13,7 @@ camera-to-world matrix change their sign.
 
 The fields that are used are those of HEAD and FRAME, and `time`. Other fields get a warning, unless
 their value changes nothing (`is_neutral`). A frame may have a lens of its own. Focal lengths and
-the principal point are pixels of an image of w x h; if the pictures have another size, they are
+the principal point are in pixels of an image of w x h; if the pictures have another size, they are
 scaled. Distortion by k1, k2, p1 and p2 is removed from the pictures, by the formula in `hypernerf`;
 other lenses are refused.
 """
@@ -94,7 +94,7 @@ LENS = {
 }
 FRAME = {"file_path": (text, REQUIRED), "transform_matrix": (world_to_camera, REQUIRED)}
 HEAD = {"frames": (partial(list_of, check=partial(value_of_type, kind=dict)), REQUIRED), **LENS}
-USED = {*HEAD, *FRAME, "time", "rotation"}  # D-NeRF writes a rotation, but nobody reads it
+USED = {*HEAD, *FRAME, "time", "rotation"}  # D-NeRF writes a rotation that nobody reads
 
 
 def find_views(folder, downscale):
@@ -125,7 +125,7 @@ def find_views(folder, downscale):
 
 
 def find_files(folder):
-    """Return the transforms files of training and testing, or the one file that there is."""
+    """Return the transforms files of training and testing, or the only file that there is."""
     splits = [folder / f"transforms_{split}.json" for split in ("train", "test", "val")]
     present = [file for file in splits if os.path.lexists(file)]
     if splits[0] in present:
@@ -136,7 +136,7 @@ def find_files(folder):
 
 
 def frames_with_picture(folder, file, frames):
-    """Return the frames of a capture whose picture exists; one line says how many do not."""
+    """Return the frames of a capture whose pictures exist; one warning says how many do not."""
     kept = [frame for frame in frames if find_picture(folder, frame.file_path, frame.where)]
     missing = f"{len(frames) - len(kept)} of {len(frames)} frames have no picture in {folder}"
     require_field(2 * len(kept) >= len(frames), file, f"{missing}; expected one for at least half")
@@ -146,7 +146,7 @@ def frames_with_picture(folder, file, frames):
 
 
 def read_head(file):
-    """Read the checked fields of a transforms file, but for those of its frames."""
+    """Read and check the fields of a transforms file, except those of its frames."""
     content = read_json(file)
     head = fields(content, file, HEAD, others=True)
     require_field(head.frames, f"{file}: frames", "empty; expected at least one view")
@@ -157,12 +157,12 @@ def read_head(file):
         if name not in USED and not is_neutral(value)
     }
     if unread:
-        warnings.warn(f"{file}: fields that are not read: {', '.join(sorted(unread))}")
+        warnings.warn(f"{file}: these fields are ignored: {', '.join(sorted(unread))}")
     return head
 
 
 def read_frame(frame, where, head, still):
-    """Return the checked fields of a frame, and `where` it is; missing ones are the file's."""
+    """Return the checked fields of a frame, and `where` it is; the file's replace missing ones."""
     lens = {name: (check, getattr(head, name)) for name, (check, _) in LENS.items()}
     time = {"time": (SHARE, 0.0 if still else REQUIRED)}
     values = fields(frame, where, {**FRAME, **time, **lens}, others=True)
@@ -189,7 +189,7 @@ def read_view(folder, frame, downscale, color, notes):
 def lens_of(frame, width, height, size):
     """Return the lens of a frame in pixels of its picture, as `make_view` takes it.
 
-    `size` is that of the picture in words.
+    `size` is the size of the picture in words.
     """
     w, h = frame.w or width, frame.h or height
     f_x = frame.fl_x or w / 2 / math.tan(frame.camera_angle_x / 2)
@@ -199,15 +199,15 @@ def lens_of(frame, width, height, size):
     require_field(
         math.isclose(frame.camera_angle_x or angle, angle, rel_tol=0.01),
         f"{frame.where}.camera_angle_x",
-        f"{frame.camera_angle_x}; expected {angle:.6g}, by fl_x and pictures of width {w:g} (w and "
-        "h say the size that fl_x and fl_y are for)",
+        f"{frame.camera_angle_x}; expected {angle:.6g}, from fl_x and pictures of width {w:g} (w "
+        "and h give the image size that fl_x and fl_y refer to)",
     )
     require_field(
         abs(w * height - h * width) < max(w, h)  # less than a pixel of the shorter side
         and (0 < cx < w and 0 < cy < h),
         f"{frame.where}: w, h, cx, cy",
         f"{w:g}x{h:g}, {cx:g}, {cy:g}; expected the proportions of the picture, {size}, and a "
-        "place inside",
+        "point inside it",
     )
     # Pixels are square unless the file says otherwise.
     focal, middle = np.array([(f_x, f_y or f_x), (cx, cy)]) / (w / width, h / height)

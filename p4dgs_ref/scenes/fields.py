@@ -1,8 +1,8 @@
-"""Checks the fields of scenes, those of their JSON files by tables.
+"""Checks the fields of scenes; tables describe those of their JSON files.
 
-A check is a function of a value and of the place where it stands. It returns the value, converted,
-or raises a SceneError that names the place and what was expected. A table has one row for each
-field of an object, {name: (check, default)}; the default is not checked.
+A check is a function of a value and of its place in the file. It returns the value, converted, or
+raises a SceneError that names the place and what was expected. A table has one row for each field
+of an object, {name: (check, default)}; the default is not checked.
 """
 
 from collections.abc import Collection
@@ -17,12 +17,12 @@ import numpy as np
 from ..messages import shorten
 
 MAX_COORDINATE = 1e6  # scene units from the origin to a camera or point, along any axis
-MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels of a focal length; of a principal point
+MIN_LENS, MAX_LENS = 1e-9, 1e9  # pixels, of a focal length; of a principal point up to MAX_LENS
 KINDS = {int: Integral, float: Real}
 
 
 class Missing:
-    """The default of a field that must be there; messages show it as `missing`."""
+    """The default of a required field; messages show it as `missing`."""
 
     def __repr__(self):
         return "missing"
@@ -63,14 +63,14 @@ def numbers(value, where, low, high, shape=(), kind=float) -> Any:
 
 
 def value_of_type(value, where, kind):
-    """Return a value of a type of Python."""
-    if not isinstance(value, kind):  # to show a value takes longer than to check it
+    """Return a value of the Python type `kind`."""
+    if not isinstance(value, kind):  # formatting a value takes longer than checking it
         raise SceneError(where, f"{shown(value)}; expected a {kind.__name__}")
     return value
 
 
 def text(value, where):
-    """Return a text that can be printed in one line."""
+    """Return a text that can be printed on one line."""
     require_field(
         isinstance(value, str) and value.isprintable(),
         where,

@@ -1,7 +1,7 @@
-"""Reads the files of which scenes consist: JSON objects, pictures and point clouds.
+"""Reads the files that scenes consist of: JSON objects, pictures and point clouds.
 
-The first anchors of a real scene stand at the points of a .npy, an array of shape [A, 3], or of a
-binary .ply, x, y and z of its element `vertex`, as 3DGS writes it, and COLMAP with
+The first anchors of a real scene are the points of a .npy, an array of shape [A, 3], or of a binary
+.ply, x, y and z of its element `vertex`, as 3DGS writes it, and COLMAP with
 `model_converter --output_type PLY`.
 """
 
@@ -43,8 +43,8 @@ PLY_HEADER = re.compile(
 )
 PIXELS = "RGB, RGBA, a palette or grey of 8 bits"
 MODES = ("RGB", "RGBA", "P", "L", "LA", "1")  # these kinds, in the words of Pillow
-MIN_GROWTH = 0.2  # of the radius in a picture by the radius without distortion, up to the corner
-# What is said of some of a scene's pictures, once, with their number.
+MIN_GROWTH = 0.2  # least d(radius in the picture) / d(radius without distortion) up to the corner
+# Warnings about some of a scene's pictures, given once with their number.
 TURNED = (
     "have an EXIF orientation, which is not applied: cameras belong to the pixels as they are "
     "stored"
@@ -56,7 +56,7 @@ PREMULTIPLIED = (
 
 
 def read_json(file, expected=FOLDERS):
-    """Read the JSON object in a file; `expected` says in messages what the file should be."""
+    """Read the JSON object in a file; messages say that `expected` is what the file should be."""
     with one_line_errors(file, f"JSON in UTF-8, {expected}", most=MAX_JSON_BYTES):
         data = json.loads(file.read_text(encoding="utf-8-sig"))
     require_field(isinstance(data, dict), file, f"a {type(data).__name__}; expected a JSON object")
@@ -114,19 +114,19 @@ def image_bytes(pixels, ending, **settings):
 
 def write_image(path, pixels, **settings):
     """Write pixels in 8 bits in the format that the path ends with."""
-    # In memory first: on a full disk imageio would leave an open file, whose end is an error, too.
+    # In memory first: on a full disk imageio would leave an open file, and closing it fails again.
     path.write_bytes(image_bytes(pixels, path.suffix, **settings))
 
 
 def make_view(name, image, lens, R, T, time, color, downscale, where, notes):
-    """Return a view from a picture, straightened, over a colour, its sides divided by `downscale`.
+    """Return a view from a picture: undistorted, over a colour, sides divided by `downscale`.
 
     The lens is (focal [2], middle [2], k [3], p [2]): focal lengths and principal point in pixels
     from the corner of the picture, and the distortion of `hypernerf`.
     """
     check_lens(image, *lens[:3], where)
     notes[PREMULTIPLIED] += is_premultiplied(image)
-    # over the colour first: where pixels are mixed, every colour is weighted by its alpha
+    # over the colour first, so that pixels are averaged with every colour weighted by its alpha
     pixels, alpha = (
         part if part is None else box_filter(straighten(part, *lens), downscale)
         for part in over_background(image, color)
@@ -140,7 +140,7 @@ def make_view(name, image, lens, R, T, time, color, downscale, where, notes):
 
 
 def check_lens(image, focal, middle, k, where):
-    """Refuse a principal point in other units than pixels, and a lens that folds the picture."""
+    """Refuse a principal point in units other than pixels, and a lens that folds the picture."""
     size = np.array(image.shape[1::-1])
     require_field(
         middle.max() > 1 or size.min() <= 16,
@@ -155,7 +155,7 @@ def check_lens(image, focal, middle, k, where):
         growth > MIN_GROWTH,
         where,
         f"lens distortion {', '.join(f'{c:g}' for c in k)}: towards the corner the radius in the "
-        f"picture grows by {growth:.3g} of the radius in a straight one; expected at least "
+        f"picture grows only {growth:.3g} times as fast as without distortion; expected at least "
         f"{MIN_GROWTH:g}; calibrate again, or undistort the pictures",
     )
 
@@ -164,7 +164,7 @@ def is_premultiplied(image):
     """Return whether an image looks as if its colours were multiplied by alpha.
 
     Then no colour exceeds alpha in partly transparent pixels, of which there must be many, and
-    colours fade with alpha. Of a dark object with straight alpha only the first is true.
+    colours fade with alpha. For a dark object with straight alpha only the first is true.
     """
     alpha, brightest = image[..., -1], image[..., :3].max(axis=2)
     faint, dense = (alpha > 0.1) & (alpha < 0.5), (alpha > 0.5) & (alpha < 0.9)
@@ -180,7 +180,7 @@ def straighten(image, focal, middle, k, p):
     """Return a picture [H, W] or [H, W, C] as the lens would show it without distortion."""
     if not np.any([*k, *p]):
         return image
-    from scipy.ndimage import map_coordinates  # a tenth of a second that few scenes need
+    from scipy.ndimage import map_coordinates  # takes a tenth of a second, and few scenes need it
 
     focal, middle, p = (pair[::-1, None, None] for pair in (focal, middle, p))  # y before x
     yx = (np.indices(image.shape[:2]) + 0.5 - middle) / focal
@@ -195,7 +195,7 @@ def straighten(image, focal, middle, k, p):
 
 
 def box_filter(image, s):
-    """Return means over boxes of s by s pixels; what is left at the right and below is cut off."""
+    """Return means over boxes of s by s pixels; a rest at the right or at the bottom is cut off."""
     height, width = (side // s for side in image.shape[:2])
     boxes = image[: height * s, : width * s].reshape(height, s, width, s, *image.shape[2:])
     return boxes.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
@@ -205,7 +205,7 @@ def box_filter(image, s):
 def one_line_errors(file, expected, where=None, most=MAX_FILE_BYTES):
     """Turn any error while a file is read into one line that says what was expected.
 
-    `where` names the place that the file was found through. The file has at most `most` bytes.
+    `where` names the place that refers to the file. The file has at most `most` bytes.
     """
     place = f"{where}: {file}" if where else file
     kind = "a directory, a device or a broken link" if os.path.lexists(file) else "missing"
@@ -215,7 +215,7 @@ def one_line_errors(file, expected, where=None, most=MAX_FILE_BYTES):
     )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as that a picture is suspiciously large
+            warnings.simplefilter("ignore")  # for example of a suspiciously large picture
             yield
     except (SceneError, MemoryError):
         raise
@@ -250,7 +250,7 @@ def read_points(path: str | Path) -> np.ndarray:
 
 
 def read_ply(path):
-    """Return the vertices of a binary file, [N] with one field for each of their properties."""
+    """Return the vertices of a binary file, a structured array [N] with a field per property."""
     data = Path(path).read_bytes()
     whole = PLY_LINES.match(data[:MAX_HEADER_BYTES])
     lines = [line.split() for line in (whole[1].decode("latin-1").split("\n") if whole else ())]

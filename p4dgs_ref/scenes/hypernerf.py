@@ -7,7 +7,7 @@
     rgb/Nx/ID.png   its picture (or .jpg, .jpeg), both sides divided by N
     points.npy      points [A, 3] from which anchors start
 
-A camera projects the point (x, y, 1) before it to the pixel (u, v), which counts from the corner of
+A camera projects the point (x, y, 1) in front of it to the pixel (u, v), counted from the corner of
 the full picture. With r^2 = x^2 + y^2, radial distortion k and tangential distortion p,
 
     u = focal_length x' + principal_point[0]
@@ -15,9 +15,10 @@ the full picture. With r^2 = x^2 + y^2, radial distortion k and tangential disto
     x' = x (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_1 x y + p_2 (r^2 + 2 x^2)
     y' = y (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + 2 p_2 x y + p_1 (r^2 + 2 y^2)
 
-Our camera has no distortion. Pictures of a lens with distortion are resampled to those of the lens
-without it, bilinearly, and repeat their border where they end. D3DGS ignores the distortion, and
-takes the principal point as the middle of the picture. Cameras with a `skew` are refused.
+Our camera has no distortion. Pictures of a lens with distortion are resampled bilinearly to what it
+would show without distortion, with their border repeated beyond their edge. D3DGS ignores the
+distortion, and takes the middle of the picture for the principal point. Cameras with a `skew` are
+refused.
 """
 
 from functools import partial
@@ -60,7 +61,7 @@ CAMERA = {
 
 
 def find_views(folder, downscale):
-    """Return {"train", "test", "points"}: the readers of both splits, as `dnerf` has, and points.
+    """Return {"train", "test", "points"}: the readers of both splits, as in `dnerf`, and points.
 
     `downscale` divides the sides of the largest pictures that the folder has.
     """
@@ -81,8 +82,8 @@ def find_views(folder, downscale):
 def read_splits(folder):
     """Read the names of the views of both splits.
 
-    They are train_ids and val_ids. Where val_ids is empty, as in scenes that test interpolation in
-    time, of every four `ids` the first is for training and the third for testing.
+    They are train_ids and val_ids. If val_ids is empty, as in scenes that test interpolation in
+    time, the first of every four `ids` is for training and the third for testing.
     """
     file = folder / SPLITS
     listed = fields(read_json(file, FULL), file, DATASET, others=True)
@@ -91,7 +92,7 @@ def read_splits(folder):
     require_field(
         train and test and not {*train} & {*test},
         file,
-        "expected train_ids and val_ids without a common view, or at least three ids",
+        "expected train_ids and val_ids that share no view, or at least three ids",
     )
     return {"train": train, "test": test}
 
@@ -109,13 +110,13 @@ def read_times(folder, names):
 
 
 def choose_pictures(folder, downscale):
-    """Return the N of the folder rgb/Nx to read, and by what its pictures' sides are divided.
+    """Return the N of the folder rgb/Nx to read, and the factor that remains for its pictures.
 
-    Smaller pictures are taken if the folder has them; pixels are averaged for the rest.
+    The folder with the smallest suitable pictures is taken; the rest is done by averaging pixels.
     """
     names = [path.name[:-1] for path in folder.glob("rgb/[1-9]*x")]
     ratios = [int(name) for name in names if name.isdecimal()]
-    require_field(ratios, folder / "rgb", "no pictures; expected a folder 1x, 2x or the like")
+    require_field(ratios, folder / "rgb", "no pictures; expected a folder such as 1x or 2x")
     wanted = min(ratios) * downscale
     ratio = max(ratio for ratio in ratios if wanted % ratio == 0)
     return ratio, wanted // ratio
@@ -129,7 +130,7 @@ def place(folder, x):
     require_field(
         np.all(np.abs(placed) <= MAX_COORDINATE),
         f"{file}: scale",
-        f"puts a camera or point beyond {MAX_COORDINATE:g}; expected less",
+        f"puts a camera or point beyond {MAX_COORDINATE:g}; expected a smaller scale",
     )
     return placed
 
@@ -144,7 +145,7 @@ def read_camera(folder, name):
 
 
 def read_view(folder, name, lens, time, ratio, downscale, color, notes):
-    """Return one view from its picture in rgb/<ratio>x, its sides then divided by `downscale`."""
+    """Return one view from its picture in rgb/<ratio>x, with sides divided by `downscale`."""
     file = f"rgb/{ratio}x/{name}"
     where = f"{folder}: {file}"
     image, shown = read_image(folder, file, where, notes)

@@ -29,13 +29,13 @@ def load_scene(
 
     A folder of the same name is preferred to a packaged scene; a .json in a folder stands for the
     folder. RGBA pictures are laid over the colour `background` [3]. `downscale` divides both sides
-    of the images: pixels are averaged in boxes, and less than a box at the right and below is cut
+    of the images: pixels are averaged in boxes, and incomplete boxes at the right or bottom are cut
     off. `progress(done, total)` is called before every picture. A scene.json in the folder may list
     the scene's `effects`; without that list a scene has all of the model's, or none of motion if no
     picture has a time. `dnerf` and `hypernerf` describe the layouts that are read. Raises
     SceneError with one line that names the file, the field and what was expected. Warns, once for
-    all pictures, of fields that are not read, of frames without a picture, of orientations in EXIF,
-    of colours that look as if they were multiplied by alpha, and if no picture has a time.
+    all pictures, of ignored fields, of frames without a picture, of orientations in EXIF, of
+    colours that look as if they were multiplied by alpha, and if no picture has a time.
     """
     return find_views(path, background, downscale).read(progress)
 
@@ -82,7 +82,7 @@ def find_views(path, background=WHITE, downscale=1):
 
 
 def is_hypernerf(folder):
-    """Return whether a folder has the files of HyperNeRF and NeRF-DS, not those of D-NeRF."""
+    """Return whether a folder has the files of HyperNeRF and NeRF-DS rather than of D-NeRF."""
     return not os.path.lexists(folder / "transforms_train.json") and os.path.lexists(
         folder / hypernerf.SPLITS
     )
@@ -91,7 +91,7 @@ def is_hypernerf(folder):
 def read_points_for(folder, path):
     """Return the points of a file, in the units of the scene in a folder.
 
-    A file for a HyperNeRF or NeRF-DS scene has the coordinates of that scene's own files.
+    A file for a HyperNeRF or NeRF-DS scene has coordinates like those in that scene's own files.
     """
     points = read_points(path)
     return hypernerf.place(folder, points) if is_hypernerf(folder) else points

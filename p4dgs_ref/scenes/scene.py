@@ -42,7 +42,7 @@ ROTATION_TOLERANCE = 1e-3
 
 
 def rotation(value, where):
-    """Check a 3 x 3 matrix that is a rotation: orthonormal, and no mirror."""
+    """Check that a 3 x 3 matrix is a rotation: orthonormal, and not a reflection."""
     R = numbers(value, where, -MAX_COORDINATE, MAX_COORDINATE, (3, 3))
     error, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     require_field(
@@ -95,7 +95,7 @@ class Scene:
     effects: tuple[str, ...] = MODEL_EFFECTS
     background: ArrayLike = WHITE  # [3], made float32
     source: Path | None = None  # the folder it was read from
-    points: np.ndarray | None = None  # [A, 3]  where anchors start; None: at random places
+    points: np.ndarray | None = None  # [A, 3]  where anchors start; None: at random positions
 
     def __post_init__(self):
         where = self.source or self.name
@@ -118,7 +118,7 @@ class Scene:
     def center(self):
         """Return the point [3] nearest to the axes of the training cameras, by least squares.
 
-        Where the axes are all but parallel, their common direction counts from the origin.
+        If the axes are nearly parallel, the point's place along them is the one nearest the origin.
         """
         cameras = [view.camera for view in self.train]
         across = [np.eye(3) - np.outer(c.R[2], c.R[2]) for c in cameras]  # an axis is R[2]
@@ -216,7 +216,7 @@ def over_background(image, color):
 
 
 def check_view(view, first, where):
-    """Refuse a view that is inconsistent or out of range, or of another size than the first."""
+    """Refuse a view that is inconsistent, out of range or not of the first view's size."""
     image, camera = view.image, view.camera
     require_field(
         image.shape == first.image.shape == (camera.height, camera.width, 3),

@@ -108,7 +108,7 @@ def depth_order(depth, visible, occlusion):
 
 
 def pixel_blocks(height, width, n, dtype):
-    """Yield runs of pixels, row by row, and their coordinates; n times a run fits into BLOCK."""
+    """Yield runs of pixels, row by row, and their coordinates; a run times n fits into BLOCK."""
     size = max(1, BLOCK // max(n, 1))
     for start in range(0, height * width, size):
         index = np.arange(start, min(start + size, height * width))
@@ -117,7 +117,7 @@ def pixel_blocks(height, width, n, dtype):
 
 
 def alphas(mean2d, conic, alpha, alpha_max, x, y):
-    """Return clamped opacities of M Gaussians at P pixels [M, P], falloff, offsets to the means."""
+    """Return clamped opacities of M Gaussians at P pixels [M, P], falloff, offsets from means."""
     e_x, e_y = x - mean2d[:, :1], y - mean2d[:, 1:]
     a, b, c = conic.T[:, :, None]
     power = -0.5 * (a * e_x**2 + c * e_y**2) - b * e_x * e_y
@@ -126,7 +126,7 @@ def alphas(mean2d, conic, alpha, alpha_max, x, y):
 
 
 def transmittances(A, occlusion):
-    """Return the light that reaches each Gaussian [M, P], and that behind the last one [P]."""
+    """Return the light that reaches each Gaussian [M, P], and what passes the last one [P]."""
     before, T = np.ones_like(A), np.ones_like(A, shape=A.shape[1:])
     if occlusion:
         for i, alpha in enumerate(A):

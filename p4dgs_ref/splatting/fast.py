@@ -1,4 +1,4 @@
-"""Fast compositing: lists by tile, exp of many tiles, two array operations for each depth rank.
+"""Fast compositing: lists by tile, one exp for many tiles, two array operations per depth rank.
 
 Inside a tile the logarithm of a splat's alpha is a polynomial of the pixel's offset (u, v) from the
 tile's middle,
@@ -15,7 +15,7 @@ The time is proportional to the number of listed pairs, not to N H W. Tiles are 
 Without gradients, only one group's alphas are in memory. With gradients, the alphas of all groups
 are kept, and their weights only if there is a single group.
 
-The lists by tile are those of Kerbl et al. 2023 (3DGS), the arrangement by ranks is this project's.
+The lists by tile are those of Kerbl et al. 2023 (3DGS); the arrangement by ranks is this project's.
 `settings` says which pairs are listed and when a tile stops (Q21).
 
 Axis letters: K ranks of a chunk, G tiles, P pixels of a tile, M listed pairs.
@@ -36,7 +36,7 @@ LOG_OF_ZERO = -1e4  # stands for the logarithm of an opacity of 0: its exp is 0 
 
 
 class Halves(NamedTuple):
-    """A picture with too many pairs for one list: `backward` draws its two halves again."""
+    """An image with too many pairs for one list: `backward` draws its two halves again."""
 
     cut: int  # the first row of pixels of the lower half
     inputs: list  # the arguments of `forward` for each half
@@ -59,8 +59,8 @@ def forward(
 ):
     """Return image [height, width, 3], transmittance [height, width] and what `backward` needs.
 
-    With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited. A
-    picture with more than MAX_PAIRS is drawn in halves, and these in halves, one after the other,
+    With `keep=False` the last is None, and a chunk is forgotten as soon as it is composited. An
+    image with more than MAX_PAIRS is drawn in two halves, one after the other, and these likewise,
     down to single rows of tiles.
     """
     dtype, side = np.dtype(settings.dtype), settings.tile
@@ -105,7 +105,7 @@ def forward(
             colors = pair_colors.take(pairs, axis=0).transpose(1, 2, 0)
             image[tiles] += colors @ weights.transpose(1, 0, 2)
             if keep:
-                # Weights take half of the memory: in large pictures backward finds them again.
+                # Weights take half of the memory: for large images backward recomputes them.
                 kept = weights if len(groups) == 1 or not occlusion else None
                 chunks.append((tiles, pairs, A, kept, before, clamped))
     if background.any():  # black adds nothing
@@ -146,7 +146,7 @@ def backward(saved, image_bar):
         colors = pair_colors.take(pairs, axis=0).transpose(1, 0, 2)
         np.matmul(colors, g_tiles, out=V.transpose(1, 0, 2))
         if occlusion:
-            # In the forward T *= 1 - alpha, so alpha also takes what stands behind its rank.
+            # In the forward T *= 1 - alpha, so alpha also takes away what is behind its rank.
             through = behind[tiles]  # the value behind a rank; nothing is divided by 1 - alpha
             blocked = np.empty_like(through)
             for a, v in zip(A[::-1], V[::-1]):
@@ -178,7 +178,7 @@ def backward(saved, image_bar):
 
 
 def groups_of_tiles(count, side):
-    """Return the tiles with splats in groups, the longest lists first: equal lists are together."""
+    """Return the tiles that have splats, in groups, longest lists first: equal lengths together."""
     tiles = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
     size = max(1, GROUP // side**2)
     return [tiles[first : first + size] for first in range(0, len(tiles), size)]
@@ -187,7 +187,7 @@ def groups_of_tiles(count, side):
 def columns_of(mean2d, conic, alpha):
     """Return x, y, minus the conic (a, b, c), log alpha and alpha of every splat [7, N].
 
-    An alpha of 0 has a conic of 0 and LOG_OF_ZERO, because infinity would give NaN in a product,
+    An alpha of 0 gets a conic of 0 and LOG_OF_ZERO, because infinity would give NaN in a product,
     and 1 in the last row, because backward divides by it.
     """
     some = alpha > 0
@@ -197,7 +197,7 @@ def columns_of(mean2d, conic, alpha):
 
 
 def at_pairs(splats, lists, side, piece=slice(None)):
-    """Return the `columns_of` every pair's splat, x and y counted from it to its tile's middle."""
+    """Return `columns_of` for every pair's splat, with x, y replaced by its offset to the tile."""
     columns, tile = splats.take(lists.splat[piece], axis=1), lists.tile[piece]
     places = np.stack([tile % lists.columns, tile // lists.columns])
     columns[:2] = places * side + (side - 1) / 2 - columns[:2]

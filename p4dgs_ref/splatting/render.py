@@ -13,15 +13,15 @@ def forward(
     color,  # [N, 3]  colours in [0, 1]
     camera,  # a Camera
     background,  # [3]  colour behind everything
-    settings,  # a Settings; its footprint "all" takes `compositing`, every other one `fast` (Q21)
+    settings,  # a Settings; footprint "all" uses `compositing`, every other one `fast` (Q21)
     occlusion=True,
     keep=True,  # False: no gradients are wanted; then nothing is kept for `backward`
 ):
     """Return the image [H, W, 3], the transmittance [H, W], visible [N] and what `backward` needs.
 
     Projection is computed in float64 by `factored`, compositing in `settings.dtype`. Raises
-    ValueError for an opacity that is negative or NaN: lists of tiles would leave it out, the exact
-    twin would not.
+    ValueError for an opacity that is negative or NaN: the lists by tile would leave it out, but the
+    exact twin would not.
     """
     splats, saved_projection = project(x, s, r, camera, settings)
     out, saved = composite(splats, alpha, color, camera, background, settings, occlusion, keep)

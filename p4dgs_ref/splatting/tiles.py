@@ -15,8 +15,8 @@ class Lists(NamedTuple):
 
     tile: np.ndarray  # [M] number of the tile, counted row by row
     splat: np.ndarray  # [M] index of the Gaussian
-    columns: int  # tiles beside each other in the image
-    rows: int  # tiles below each other
+    columns: int  # tiles across the image
+    rows: int  # tiles down the image
 
 
 def bin_splats(
@@ -26,9 +26,9 @@ def bin_splats(
 
     "ellipse" lists a pair exactly if alpha reaches `settings.cut` at some point of the tile,
     "box" every tile that meets the square of side 2 ceil(3 sigma), "all" every tile. Without
-    occlusion the Gaussians of a tile stand in the order of their index. Returns None, before the
-    pairs take memory, if there are more than MAX_PAIRS and the image can be cut between two rows
-    of tiles.
+    occlusion the Gaussians of a tile are listed in the order of their index. Returns None, before
+    the pairs take memory, if there are more than MAX_PAIRS and the image can be cut between two
+    rows of tiles.
     """
     side = settings.tile
     columns, rows = -(-width // side), -(-height // side)
@@ -61,7 +61,7 @@ def listable(alpha, visible, settings):
 
 
 def pixel_bounds(mean, cov, alpha, width, height, settings):
-    """Return first and last pixel [N, 2], x and y, of the rectangle where a Gaussian is evaluated.
+    """Return the first and last pixel [N, 2] (x, y) of the rectangle in which a Gaussian is drawn.
 
     It may reach beyond the image, and it is empty if the last pixel is before the first.
     """
@@ -85,7 +85,7 @@ def largest_form(alpha, settings):
 
 
 def runs(first, count):
-    """Return the i of each of the count_i numbers first_i, first_i + 1, ..., and the numbers."""
+    """List count_i numbers from first_i upwards for every i; return their i, and the numbers."""
     which = np.repeat(np.arange(len(count)), count)
     return which, np.arange(len(which)) + np.repeat(first - (np.cumsum(count) - count), count)
 

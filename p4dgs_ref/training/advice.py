@@ -1,4 +1,4 @@
-"""Warnings before a training that cannot learn or be repeated, and after one that did not learn.
+"""Warnings before a training that cannot learn or be repeated, and after one that has not learned.
 
 Each function returns a sentence, or "" if there is nothing to say.
 """
@@ -15,14 +15,14 @@ from .initial import lattice_nodes
 FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
 FAR = 10  # times the radius that contains nine tenths of the points
 DIFFERENCE = 0.1  # two pixels disagree if a channel differs by more
-MUCH = 0.3  # of what cameras see outside the box of the first anchors
+MUCH = 0.3  # share of what cameras see that may lie outside the box of the first anchors
 # The mean of the training pictures has a squared error. This is the least share of it that a model
-# must remove. On four scenes of moving bodies, two seeds each, models removed 0.84 to 0.95, the
-# same with half of every body cut off 0 to 0.33, with half transparent bodies 0.44 to 0.67; on a
-# fifth, in which hardly anything moved, 0.66 and 0.71.
+# must remove. On four scenes of moving bodies, two seeds each, models removed 0.84 to 0.95; with
+# half of every body cut off 0 to 0.33, and with half transparent bodies 0.44 to 0.67. On a fifth
+# scene, in which hardly anything moved, they removed 0.66 and 0.71.
 MIN_SHARE = 0.6
-# The same in the worst view: 0.79 to 0.99 on six packaged scenes of which nothing is lost, 0.42 of
-# a scene whose wing was missing in the last views only, and of which 0.83 was there in all.
+# The same in the worst view: 0.79 to 0.99 on six packaged scenes of which nothing is missing, and
+# 0.42 on a scene whose wing was missing in the last views only (0.83 over all its views).
 MIN_SHARE_OF_VIEW = 0.5
 
 
@@ -42,12 +42,12 @@ def nothing_is_drawn(trainer):
     return (
         f"scene {trainer.scene.name}: the model draws nothing: every child is masked (min_opacity="
         f"{trainer.preset.min_opacity:g}), below tau_alpha={trainer.preset.tau_alpha:g} or outside "
-        "of the pictures"
+        "the pictures"
     )
 
 
 def few_views(scene):
-    """Warn of too few training views to show how the scene looks from elsewhere."""
+    """Warn if there are too few training views to show how the scene looks from elsewhere."""
     if len(scene.train) >= FEW_VIEWS:
         return ""
     return (
@@ -57,7 +57,7 @@ def few_views(scene):
 
 
 def empty_pictures(scene):
-    """Warn of pictures that show hardly more than one colour."""
+    """Warn if many pictures show hardly more than one colour."""
     views = [*scene.train, *scene.test]
     empty = sum(np.ptp(view.image.T.copy(), axis=(1, 2)).max() <= DIFFERENCE for view in views)
     if not empty:
@@ -73,8 +73,8 @@ def small_box(scene, extent):
 
     Every fourth pixel along both sides counts if it differs from the background. What it shows is
     taken to be as far in front of its camera as the point that all cameras look at (`center`), or,
-    for cameras that look outwards, as far as the cameras are from their middle. Also warn of
-    cameras that all stand in one place, from where nobody can measure a depth.
+    for cameras that look outwards, as far as the cameras are from their middle. Also warn if all
+    cameras are in one place, because depth cannot be measured from there.
     """
     centers = np.array([view.camera.center for view in scene.train])
     spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean()
@@ -88,7 +88,7 @@ def small_box(scene, extent):
     reach = np.concatenate([[0], *reach])
     enough, outside = np.quantile(reach, 0.9), np.mean(reach > extent)
     if len(centers) > 1 and spread < 1e-3 * np.linalg.norm(scene.center - centers[0]):
-        sentence = f"all {len(centers)} training views are of one place, which measures no depth"
+        sentence = f"all {len(centers)} training views are from one place, which shows no depth"
     elif outside > MUCH or extent > FAR * enough > 0:
         sentence = (
             f"nine tenths of what the training cameras see seem to lie within {enough:.2g} of the "
@@ -101,8 +101,8 @@ def small_box(scene, extent):
 
 
 def odd_points(scene, voxel, points):
-    """Warn of points to start from that merge or lie far off, or that cameras do not see."""
-    unseen = points  # most leave at the first cameras, so that many points take little time
+    """Warn of starting points that merge, are far from the others, or are seen by no camera."""
+    unseen = points  # the first cameras see most of them, so that many points take little time
     for camera in (view.camera for view in scene.train):
         # points as Gaussians without a size, so that their rotations do not matter
         mean2d, *_, visible = render.project(
@@ -114,7 +114,7 @@ def odd_points(scene, voxel, points):
     reach, away = np.abs(points - middle).max(axis=1), np.abs(scene.center - middle).max()
     far = np.sum(reach > FAR * np.quantile(reach, 0.9))
     counts = {
-        f"sharing the voxel of another, so that they merge (voxel {voxel:g})": (
+        f"lost by merging with others in a voxel ({voxel:g})": (
             len(points) - len(lattice_nodes(points, voxel))
         ),
         "outside every training view": len(unseen),
@@ -126,16 +126,16 @@ def odd_points(scene, voxel, points):
     told = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return (
         f"scene {scene.name}: of {number_of(len(points), 'starting point')}, "
-        f"{told or 'all are seen'}; cameras look {away:.3g} from their middle, they reach "
-        f"{reach.max():.3g}; check units"
+        f"{told or 'all are seen'}; the cameras look at a place {away:.3g} from their middle, and "
+        f"they reach {reach.max():.3g}; check the units"
     )
 
 
 def warning_after(trainer):
-    """Warn of a model that draws nothing, or in some view hardly more than one picture for all.
+    """Warn of a model that draws nothing, or in some view is hardly better than the mean picture.
 
-    This picture is the mean of the training views. If a scene moves, both are compared in the
-    pixels that disagree with the model at rest, the median of its own pictures over nine times;
+    The mean picture is that of the training views. If a scene moves, model and mean are compared in
+    the pixels that disagree with the model at rest, the median of its own pictures over nine times;
     otherwise in all pixels. The views are test views, which training has not seen, or training
     views if a scene has no others. A single view counts if it has much to lose.
     """
@@ -159,7 +159,7 @@ def warning_after(trainer):
         errors.append(
             [np.sum((np.clip(image[judged], 0, 1) - truth) ** 2) for image in (drawn, mean)]
         )
-    if not is_seen:  # one picture is all that there is to see
+    if not is_seen:  # the mean picture already shows everything
         return ""
     of_model, of_mean = np.array(errors).T
     share = 1 - of_model.sum() / of_mean.sum()

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..equations import offsets
 
-ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with a row for each anchor
+ROWS = ("x_a", "f_a", "log_s", "log_l", "O_a")  # the trained arrays with one row per anchor
 MAX_LOG_SCALE = 0.05  # Scaffold-GS clamps log s_a to this in every adjustment (Q29)
 
 
@@ -28,7 +28,7 @@ class Statistics:
         return cls(np.zeros(A), *np.zeros((3, A, k)))
 
     def collect(self, rendered, mean2d_bar, camera):
-        """Add one view; `mean2d_bar` [N, 2] is per pixel, and NDC span two units over the image."""
+        """Add one view; `mean2d_bar` [N, 2] is per pixel; in NDC the image is two units wide."""
         self.visits += 1
         self.opacity += np.maximum(rendered.alpha, 0)
         x_bar, y_bar = mean2d_bar.T
@@ -38,7 +38,7 @@ class Statistics:
         self.seen.reshape(-1)[rows] += 1
 
     def clear_judged(self, preset):
-        """Clear, in place, the sums that enough views have contributed to; the others go on.
+        """Clear, in place, the sums to which enough views have contributed, and keep the others.
 
         This is Scaffold-GS's rule (Q16): gradients are cleared by child, opacities by anchor.
         """
@@ -66,10 +66,10 @@ def grow(p, statistics, preset, rng):
 
     This is the rule of Scaffold-GS (Lu et al. 2024) with the constants of its code (Q16). Level i
     looks for free voxels of size voxel * max(grow_init // grow_hierarchy**i, 1) that contain a
-    child with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. A random share
-    of the children, 1 - 0.5**(i+1), counts. Levels after the first are looked at only once an
-    anchor was added. Each number of a new anchor's feature is the largest one among the anchors
-    whose children are in its voxel.
+    child with a gradient of at least gradient_threshold * (grow_hierarchy // 2)**i. Only a random
+    share of the children, 1 - 0.5**(i+1), counts. Levels after the first are searched only if an
+    anchor has been added. Each number of a new anchor's feature is the largest one among the
+    anchors whose children are in its voxel.
     """
     x = centers(p).reshape(-1, 3)
     gradient = (statistics.gradient / np.maximum(statistics.seen, 1)).ravel()  # per view
@@ -102,17 +102,17 @@ def grow(p, statistics, preset, rng):
 
 
 def judged_children(statistics, preset):
-    """Return the children [A, k] that were rendered often enough for a decision."""
+    """Return which children [A, k] were rendered often enough for a decision."""
     return statistics.seen > preset.grow_every * preset.success * 0.5
 
 
 def judged_anchors(statistics, preset):
-    """Return the anchors [A] that enough views of the window have visited for a decision."""
+    """Return which anchors [A] took part in enough views of the window for a decision."""
     return statistics.visits > preset.grow_every * preset.success
 
 
 def dead_anchors(statistics, mask, preset):
-    """Return the anchors [A] whose kept children together stayed below min_opacity per view."""
+    """Return the anchors [A] whose kept children added up to less than min_opacity per view."""
     total = (statistics.opacity * mask).sum(axis=1)
     return judged_anchors(statistics, preset) & (total < preset.min_opacity * statistics.visits)
 
@@ -124,7 +124,7 @@ def faint_children(statistics, preset):
 
 
 def reseed(p, first, second, dead, statistics, rng):
-    """Move dead anchors, in place, to random children, chosen in proportion to their gradients.
+    """Move dead anchors, in place, to children drawn at random in proportion to their gradients.
 
     A child with an opacity below zero is masked out and receives no gradient, so a dead anchor
     cannot recover. It starts again as a copy of the anchor that the chosen child belongs to, with

@@ -27,7 +27,7 @@ from .trainer import Trainer, assemble, with_prefix
 SAVE_EVERY = 20.0  # seconds between checkpoints
 CHECKPOINT = "checkpoint.npz"
 MAX_CHECKPOINT_BYTES = 2**30  # a model, the two moments of each number, and statistics
-HOW_TO_RESUME = "--resume (resume=True) goes on from it, another folder starts anew"
+HOW_TO_RESUME = "--resume (resume=True) continues from it; another folder starts a new training"
 # The checksum covers it, so that the checkpoint of another release is refused.
 RELEASE = f"checkpoint 6, fields {FIELDS}".encode()
 
@@ -51,17 +51,17 @@ def train(
     """Fit a scene and return the model, ready to be rendered or encoded.
 
     `preset` is a preset or its name; further keywords change its fields. Anchors start at `points`
-    [A, 3] in scene units, without them at those of the scene, and at random if it has none. In
-    `folder`, which must exist, a checkpoint is kept and renewed every SAVE_EVERY seconds; with
-    `resume` training goes on from it. The progress line goes to `stream`.
+    [A, 3] in scene units, by default those of the scene, or at random if it has none. In `folder`,
+    which must exist, a checkpoint is kept and renewed every SAVE_EVERY seconds; with `resume`
+    training continues from it. The progress line goes to `stream`.
 
     Raises ValueError for an unknown preset, field or value, RunError for a checkpoint that does not
     fit, OutputError for a folder in which another training runs or has run, and NotFinite with the
     first equation, array and index that is NaN or infinite. Ctrl-C, SIGTERM or SIGHUP raise
     KeyboardInterrupt after the current iteration, a second one at once. Warns of few training
-    views, of blank pictures, of starting points that merge or lie far off, of kernels that give
-    other bytes than on other machines, of anchors that stop growing because a file could not
-    contain more, of a model that draws nothing, and of one that draws little of what moves.
+    views, of blank pictures, of starting points that merge or lie far off, of kernels with which
+    other machines give other bytes, of anchors that stop growing because a file could not contain
+    more, of a model that draws nothing, and of one that draws little of what moves.
     """
     trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
     fit_with_advice(trainer, folder, resume, stream)
@@ -97,7 +97,7 @@ def fit(
     save_every=SAVE_EVERY,
     **changes,
 ):
-    """Do what `train` does without its advice, and return the Trainer, which has the history."""
+    """Do what `train` does, without its warnings; return the Trainer, which has the history."""
     trainer = Trainer(scene, choose(preset, changes), seed, settings, points)
     run(trainer, folder, resume, stream, save_every)
     return trainer
@@ -170,7 +170,7 @@ def checksum(data):
 def save_checkpoint(trainer, folder, common):
     """Write the state of the trainer to checkpoint.npz; `common` is its `identity`.
 
-    The checksum of the archive stands behind it.
+    The checksum follows the archive.
     """
     arrays, values = trainer.state()
     archive = io.BytesIO()

@@ -78,7 +78,7 @@ class Preset:
     grow_init: int = 16  # coarsest voxel for growing, in epsilon
     grow_hierarchy: int = 4  # ratio of voxels of two levels
     grow_depth: int = 3  # levels of growing
-    success: float = 0.8  # share of a window that it takes to be judged
+    success: float = 0.8  # share of a window's views that a judgement needs
     min_opacity: float = 0.005  # below it an anchor is dead
     mask_from: int = 5000  # first iteration with masking
 
@@ -109,7 +109,7 @@ SOURCES = by_field(
         "L_x L_t": "D3DGS (Q2)",
         "grid_3d grid_2d table_3d table_2d F": "HAC (Q11)",
         "tau_alpha": "Scaffold-GS (Q4)",
-        "opacity_bias upright deformation_gain": "off, as the parents (Q28)",
+        "opacity_bias upright deformation_gain": "off, as in the parents (Q28)",
         "lambda_rate": "HAC (Q12)",
         "lambda_ssim": "3DGS (Q13)",
         "decay_from": "chosen here (Q17)",
@@ -241,7 +241,7 @@ REQUIREMENTS = {name: number_from(1, most) for name, most in MAX_OF.items()} | b
             ),
         ),
         "stage_ends": (
-            "four rising iterations",
+            "four increasing iterations",
             lambda ends: (
                 len(ends) == 4 and sorted((0, *ends)) == [0, *ends] and 1 <= ends[-1] <= MAX_VALUE
             ),
@@ -303,7 +303,7 @@ def choose(preset, changes=None):
 
 
 def read_value(value, like):
-    """Return the value as the type of `like`; a text is parsed, tuples are written with commas."""
+    """Return the value in the type of `like`; a text is parsed, commas separate tuple items."""
     if isinstance(like, tuple):
         if isinstance(value, str):
             value = value.replace(",", " ").split()

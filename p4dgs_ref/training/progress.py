@@ -13,7 +13,7 @@ COLUMNS = ("iteration", "stage", "loss", "psnr_db", "bits_per_parameter", "ancho
 class Progress:
     """Called after every step: adds rows to `trainer.history` and writes lines to `stream`.
 
-    A terminal shows one line that changes. Other streams get about a dozen lines, None gets none.
+    A terminal shows one line that changes; other streams get about a dozen lines. None is silent.
     """
 
     def __init__(self, stream=None):

@@ -1,7 +1,7 @@
 """The training of one scene: `Trainer.step` is one iteration of the loop.
 
-A random view, its loss and gradients, a check for NaN, a step of Adam, and density control.
-`Trainer.learning_rate` and `objective.loss` say what is trained in which stage of the paper.
+It takes a random view, its loss and gradients, a check for NaN, a step of Adam, and density
+control. `Trainer.learning_rate` and `objective.loss` say what is trained in which stage.
 """
 
 import warnings
@@ -129,7 +129,7 @@ class Trainer:
         return losses, rendered, view
 
     def next_view(self):
-        """Return a random view; no view comes again before all others have been visited."""
+        """Return a random view; none is repeated before all others have been visited."""
         if not self.order:
             self.order = self.rng.permutation(len(self.scene.train)).tolist()
         return self.scene.train[self.order.pop()]
@@ -195,7 +195,7 @@ class Trainer:
     def adjust(self):
         """Grow, re-seed, prune and mask as the preset says. Then a new window starts.
 
-        With Scaffold-GS's rule it starts only for children and anchors that have been judged.
+        By Scaffold-GS's rule it starts only for children and anchors that have been judged.
         """
         preset, statistics, now = self.preset, self.statistics, self.iteration
         if now >= preset.mask_from:
@@ -207,7 +207,7 @@ class Trainer:
             density.reseed(p, *moments, dead, statistics, self.rng)
             self.mask[dead] = True
         elif preset.grow == "reseed" and now >= preset.grow_until:
-            self.keep_rows(~dead)  # too late to learn something new: they only cost bytes
+            self.keep_rows(~dead)  # too late for them to learn anything: they only cost bytes
         elif preset.grow == "scaffold" and growing:
             added = density.grow(p, statistics, preset, self.rng)
             if over_limits(self.design, np.sum(~dead) + len(added["x_a"])):
@@ -224,7 +224,7 @@ class Trainer:
     def keep_rows(self, keep, added=None):
         """Drop anchors and append new ones, with their masks, moments and statistics.
 
-        The last anchor is never dropped.
+        One anchor always stays.
         """
         added = added or {name: self.parameters[name][:0] for name in density.ROWS}
         count = len(added["x_a"])
@@ -246,7 +246,7 @@ class Trainer:
         return assemble(self.parameters, self.design, self.mask, self.box, self.scene.background)
 
     def state(self):
-        """Return all that another process needs to go on: arrays and JSON values, by name."""
+        """Return all that another process needs to continue: arrays and JSON values, by name."""
         groups = {
             "p": self.parameters.arrays,
             "m": self.adam.first.arrays,

@@ -217,7 +217,7 @@ def test_invalid_grids_backgrounds_boxes_and_anchors_are_named(model):
         (dict(box=(hi, lo)), "box: expected"),
         (dict(box=(lo, hi * np.inf)), "box: expected"),
         (dict(box=(lo, np.full(3, 1e39))), "box: expected"),
-        (dict(anchors=none), "anchors mask: expected booleans of one anchor or more"),
+        (dict(anchors=none), "anchors mask: expected booleans for at least one anchor"),
     ):
         with pytest.raises(EncodeError, match=message):
             encode(dataclasses.replace(model, **change))

@@ -93,7 +93,7 @@ def test_a_capture_as_it_lies(toy):
     assert scene.effects == ("view_color", "view_geometry", "occlusion", "background")
     unread, still = told
     assert (
-        unread == f"{toy / 'transforms.json'}: fields that are not read: 'aabb_scale', 'sharpness'"
+        unread == f"{toy / 'transforms.json'}: these fields are ignored: 'aabb_scale', 'sharpness'"
     )
     assert still == f"{toy}: no picture has a time: all times are 0, and nothing moves"
     np.testing.assert_allclose(scene.train[4].camera.center, pose(azimuth=5)[:3, 3], atol=1e-12)
@@ -170,7 +170,7 @@ def test_which_files_say_what_is_trained_on(tmp_path, read_names, others):
     rename(folder, CAPTURE, *read_names, *others)
     scene, told = read(folder)
     assert (len(scene.train), len(scene.test)) == ((9, 9) if read_names[1:] else (7, 2))
-    lines = [line for line in told if "fields that are not read" in line]
+    lines = [line for line in told if "fields are ignored" in line]
     assert [line.partition(":")[0] for line in lines] == [str(folder / name) for name in read_names]
 
 
@@ -204,7 +204,7 @@ def test_frames_of_a_capture_whose_picture_is_missing_are_left_out(
         assert len(scene.train) == len(names) - len(names[::8])
         assert [said in line for line in told].count(True) == bool(missing)
     else:
-        with pytest.warns(UserWarning, match="fields that are not read"):
+        with pytest.warns(UserWarning, match="fields are ignored"):
             refuse((f"{said}; expected one for at least half",), load_scene, folder)
 
 
@@ -276,7 +276,7 @@ def test_sizes_that_only_the_turned_picture_has_are_refused_with_the_word_exif(t
         ({"cx": 0.5, "cy": 0.5}, ["principal point 0.25, 0.25; expected pixels of 90x160"]),
         ({"cx": 1.0, "cy": 0.5}, ["expected pixels of 90x160, not fractions of the sides"]),
         ({"k1": -3}, ["lens distortion -3, 0, 0: towards the corner", "undistort"]),
-        ({"k1": -44.85, "k2": 1017}, ["lens distortion -44.85, 1017, 0:", "grows by 0.1"]),
+        ({"k1": -44.85, "k2": 1017}, ["lens distortion -44.85, 1017, 0:", "grows only 0.1"]),
         ({"k1": -0.3, "k2": 0.1}, []),  # of a wide lens
         ({"k1": 0.06, "k2": -0.08, "fl_x": 300.0, "fl_y": 300.0}, []),  # of a phone
     ],

@@ -241,7 +241,7 @@ MISTAKES = [
     ("dataset.json", {"train_ids": []}, ("dataset.json", "train_ids and val_ids")),
     ("dataset.json", {"train_ids": [*LEFT, LEFT[0]]}, ("train_ids", "each of them once")),
     ("dataset.json", {"val_ids": [], "ids": LEFT[:2]}, ("dataset.json", "at least three ids")),
-    ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "without a common view")),
+    ("dataset.json", {"val_ids": LEFT}, ("dataset.json", "that share no view")),
     ("metadata.json", {LEFT[1]: {}}, (f"{LEFT[1]}.time_id: missing", "integer")),
     ("metadata.json", {LEFT[1]: {"time_id": -1}}, (f"{LEFT[1]}.time_id", "-1", "[0, ")),
     (VIEW, {"orientation": (2 * np.eye(3)).tolist()}, (f"{VIEW}: orientation", "rotation")),

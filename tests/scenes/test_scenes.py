@@ -155,7 +155,7 @@ def test_a_field_is_used_or_off_or_named_in_one_line(folder, recwarn):
     with pytest.warns(UserWarning) as told:
         load_scene(folder)
     names = ", ".join(map(repr, sorted([*NAMED, "sharpness"])))
-    line = f"{folder / 'transforms_train.json'}: fields that are not read: {names}"
+    line = f"{folder / 'transforms_train.json'}: these fields are ignored: {names}"
     assert [str(one.message) for one in told] == [line]
 
 
@@ -270,7 +270,7 @@ MISTAKES = [
             ("k3", -1e-9, "-1e-09; expected 0", "undistort"),
             ("is_fisheye", True, "True", "undistort"),
             ("camera_model", "OPENCV_FISHEYE", "'OPENCV_FISHEYE'", "PINHOLE", "OPENCV"),
-            ("cx", 12.5, "12x8, 12.5, 4; expected", "12x8 pixels, and a place inside"),
+            ("cx", 12.5, "12x8, 12.5, 4; expected", "12x8 pixels, and a point inside"),
         )
     ),
     ("k4 of a frame", in_frame(k4=0.1), ("frames[1].k4: 0.1; expected 0",)),

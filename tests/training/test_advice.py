@@ -60,12 +60,12 @@ OUTSIDE = [[0, 0, 50.0]] * 100 + np.arange(100)[:, None]
 BEFORE_A_LENS = np.array([3, 0, 1]) * (1 - np.linspace(0.01, 0.05, 100))[:, None]
 POINTS = [
     (CLOUD, []),
-    (CLOUD / 1e6, ["of 500 starting points", "499 sharing the voxel", "(voxel 0.001)"]),
+    (CLOUD / 1e6, ["of 500 starting points", "499 lost by merging", "in a voxel (0.001)"]),
     (np.vstack([CLOUD, [[0, 1e5, 0]]]), ["of 501", "1 more than 10 times as far"]),
     (np.vstack([CLOUD, OUTSIDE]), ["of 600", "100 outside every training view"]),
     (np.vstack([CLOUD, BEFORE_A_LENS]), ["of 600", "100 outside every training view"]),
     (np.vstack([CLOUD, CLOUD[:55]]), []),
-    (np.vstack([CLOUD, CLOUD[:56]]), ["of 556", "56 sharing the voxel"]),
+    (np.vstack([CLOUD, CLOUD[:56]]), ["of 556", "56 lost by merging"]),
 ]
 
 
@@ -87,7 +87,7 @@ def test_cameras_that_look_past_the_starting_points_are_told_of_with_both_number
     """The cameras look at a place `shift` from the middle of points that reach as far as 1."""
     points = [[x, y, z + shift] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     told = advice.odd_points(scene(30), 1e-3, np.array(points))
-    numbers = "cameras look 1.1 from their middle, they reach 1"
+    numbers = "cameras look at a place 1.1 from their middle, and they reach 1"
     assert (numbers in told) == is_told
 
 
@@ -160,7 +160,7 @@ SEEN = [
     (around(3, outwards=True, turned=1), 7, ""),
     (scene(30), 1, ""),
     (scene(30), 1000, "try --set extent=0."),
-    (around(4, turned=0), 4, "all 12 training views are of one place"),
+    (around(4, turned=0), 4, "all 12 training views are from one place"),
 ]
 
 
@@ -239,7 +239,7 @@ def test_a_scene_in_which_nothing_is_wrong_is_not_told_of():
 WARNINGS = [
     "training views",
     "1 of 5 pictures show hardly more than one colour",
-    "8 sharing the voxel",
+    "8 lost by merging",
     "of what moves is there",
 ]
 

@@ -98,7 +98,7 @@ def test_every_subject_and_stream_of_the_port_is_right(port):
     answered = [r for r in found.results if r.verdict != "absent"]
     assert len({r.subject for r in answered}) == 30
     assert {r.id for r in answered if r.verdict != "pass"} == {"frames/paper_settings"}
-    assert found.ok and "the port answers no gradients: outputs alone were judged" in str(found)
+    assert found.ok and "the port gives no gradients: only outputs were judged" in str(found)
 
 
 def test_bad_streams_are_refused_where_they_are_bad(port):

@@ -52,10 +52,10 @@ def simulate(
 def place_cameras(description, split):
     """Return the (camera, time) of every view of a split, in the order of time.
 
-    Training views are at even times from 0 to 1, test views half-way between even times. Cameras of
-    the kind `scattered` step on by the golden angle, so that neighbours in time see the scene from
-    very different sides. The kind `orbit` moves the training camera smoothly and scatters the test
-    cameras.
+    Training views are at evenly spaced times from 0 to 1, test views half-way between such times.
+    Cameras of the kind `scattered` advance by the golden angle, so that neighbours in time see the
+    scene from very different sides. The kind `orbit` moves the training camera smoothly and
+    scatters the test cameras.
     """
     paths, n = description.cameras, getattr(description.cameras, split)
     low, high = paths.elevation

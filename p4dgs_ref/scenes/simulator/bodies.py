@@ -2,7 +2,7 @@
 
 Rays and points are in the frame of the body. A ray is o + t d with d of any length, so t keeps its
 meaning when the frame changes. Every `*_hit` returns the first t > 0 where a ray enters the shape
-from outside, infinity if it misses. Every `*_normal` returns the outward unit normals at points
+from outside, or infinity if it misses. Every `*_normal` returns the outward unit normals at points
 of the surface. Every motion is a function of the time t in [0, 1]; a body with a parent moves with
 its parent.
 """
@@ -117,7 +117,7 @@ def wave(motion, t):
 
 
 def line(motion, t):
-    """Move straight on at constant speed, by `by` from t = 0 to t = 1."""
+    """Move in a straight line at constant speed, by `by` from t = 0 to t = 1."""
     return t * motion.by
 
 
@@ -147,7 +147,7 @@ def pulse(motion, t):
     return 1 + motion.amount * np.sin(wave(motion, t))
 
 
-# How a motion changes the place, the rotation or the scale that a body has by the earlier ones.
+# How a motion changes the position, rotation or scale that the motions before it gave a body.
 COMBINED = {"translation": np.add, "rotation": np.matmul, "scaling": np.multiply}
 # kind: the effect that a scene must list for the motion to happen, and its formula
 MOTIONS = {
@@ -168,7 +168,7 @@ def turn(axis, degrees):
 
 
 def poses(bodies, effects, t):
-    """Return the pose of every body at time t, {name: Pose}; parents stand before their children.
+    """Return the pose of every body at time t, {name: Pose}; parents come before their children.
 
     Offsets are in the frame of the parent. A child inherits R and T of its parent, not the scale. A
     motion whose effect is not listed is not computed.

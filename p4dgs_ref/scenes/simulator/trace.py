@@ -4,7 +4,8 @@ It draws the effects that the description lists. An effect that is not listed is
 
     translation, rotation, scaling    the motions of the bodies
     texture                           a second colour in a pattern; otherwise one colour
-    diffuse                           ambient light and Lambert; otherwise full light everywhere
+    diffuse                           ambient light and Lambert's cosine; otherwise full light
+                                      everywhere
     specular                          a Phong highlight
     view_color                        the highlight moves with the viewer; otherwise it is drawn as
                                       seen from straight above
@@ -61,13 +62,13 @@ def unit(v):
 
 
 def hit(body, pose, origin, directions):
-    """Return the distance to a body along every ray, infinity if the ray misses it."""
+    """Return the distance to a body along every ray, or infinity if the ray misses it."""
     o, d = (origin - pose.T) @ pose.R / pose.scale, directions @ pose.R / pose.scale
     return HITS[body.shape.kind](body.shape, o, d)
 
 
 def nearest(hits):
-    """Return which body is the nearest along every ray [bodies, rays], from the distances."""
+    """Return whether each body is the nearest along each ray [bodies, rays], from the distances."""
     return hits.argmin(axis=0) == np.arange(len(hits))[:, None]
 
 
