@@ -148,7 +148,7 @@ def meaning(key, comment):
     """What a comment says, without shape, unit, choices and additions after a semicolon."""
     if shape_comments.parsed(comment).network:
         return f"network of {key}"
-    text = re.sub(r"^(list of )?\[[^]]*\](, one a level:)?", "", comment)
+    text = re.sub(r"^(list of )?\[[^]]*\](, one per level:)?", "", comment)
     text = re.sub(rf" ?\(({'|'.join(UNITS)}|Q\d+)(;[^)]*)?\)", "", text).split(";")[0]
     return re.sub(r", converted to .*|, > 0", "", text).strip()
 
