@@ -148,7 +148,7 @@ assert ((prices[:-1] < slopes) & (slopes < prices[1:])).all()
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.8), layout="constrained")
 left.plot(rate, distortion, "o", ms=9, color=show.RATE)
-for price, x, y, dx, up in zip(prices, rate, distortion, (3, 2, 2, 1.2, 0.1), (8, -22, 6, 6, 6)):
+for price, x, y, dx, up in zip(prices, rate, distortion, (3, 2, 1, 1, 0.1), (8, -22, 6, 6, 6)):
     line = np.array([x - dx, x + dx])
     left.plot(line, y - price * (line - x), color=show.GREY, lw=1)
     left.annotate(rf"$\lambda$ = {price:g}", (x, y), (8, up), textcoords="offset points")
@@ -291,9 +291,9 @@ gains.show("12_rate_distortion", rows, paper, "curve")
 #   the scene.
 # - *$\lambda_{rate} = 0$ gives the best picture.* It gives a file of 47,502 bytes instead of
 #   38,683, for 0.2 dB on the test views.
-# - *The smaller of two files is that of the better method.* Two methods are compared at equal PSNR,
-#   with networks of one size, and with both sides rounded and coded alike. Most of a large factor
-#   between two files may be float32 and the size of a network.
+# - *The smaller of two files is that of the better method.* Compare two methods at equal PSNR, with
+#   networks of one size, and with both sides rounded and coded alike. Most of a large factor
+#   between two files may come from float32 and the size of a network.
 
 # %% [markdown]
 # ## Exercises

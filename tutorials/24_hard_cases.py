@@ -30,14 +30,14 @@ EPS_64 = float(np.finfo(np.float64).eps)
 
 # %% [markdown]
 # ## What fails without it
-# Every formula of this page is right on paper. In `float32`, with nothing else changed, the trained
-# scene loses its thinnest splat or its learned steps, and in `float64` a whole training ends: with
-# Eq. (11) as printed, two of three trainings of `bouncing` stop because a bit count is infinite.
-# None of this is seen in a test with ordinary numbers.
+# Every formula of this page is right on paper, and still it can end a training: with Eq. (11) as
+# printed, even in `float64`, two of three trainings of `bouncing` stop because a gradient is
+# infinite. Other formulas make a splat vanish, or a step 0. Tests with ordinary numbers show
+# none of this.
 #
-# On the right, the distance from the mean of anchor 29's first feature is drawn out to 12 standard
-# deviations. The file's own value (purple) is near the mean, where both formulas agree; nine
-# standard deviations above it, the printed one has no bits to say.
+# On the right, anchor 29's first feature is moved up to 12 standard deviations away from its mean.
+# The file's own value (purple) is near the mean, where both formulas agree; from 8.5 standard
+# deviations above it on, the printed one gives infinity.
 
 # %%
 from p4dgs_ref.equations import likelihood
@@ -63,9 +63,7 @@ assert stopped == [2709, 2634, 3800]
 figure, (left, right) = plt.subplots(1, 2, figsize=(13, 4.6), layout="constrained")
 left.barh([f"seed {seed}" for seed in range(3)], stopped, color=show.RATE)
 left.axvline(3800, color=show.GREY, ls=":")
-left.set(
-    title="trainings with Eq. (11) as printed", xlabel="iterations until a gradient is infinite"
-)
+left.set(title="trainings with Eq. (11) as printed", xlabel="iterations reached (dotted: the end)")
 right.plot(distance, ours, color=show.GREY, lw=5, alpha=0.4, label="ours")
 right.plot(distance, printed, color=show.RATE, label="as printed")
 own = (feature - mu) / sigma
@@ -160,8 +158,8 @@ assert all(row["verdict"] == "ok" for row in rows)
 # %% [markdown]
 # **1, 2: tails and narrow bins.** The map shows Eq. (11) over all bin widths and distances, from
 # below the mean to above. The printed formula is infinite or NaN on 28 % of the map in `float64`
-# and on 49 % in `float32`. But look at both halves: above the mean it fails on 34 %, below on 23 %
-# only. There $\Phi$ is small and keeps its digits, down to 37 standard deviations. **Mirroring the
+# and on 49 % in `float32`. But look at both halves: above the mean it fails on 34 %, below only on
+# 23 %. There $\Phi$ is small and keeps its digits, down to 37 standard deviations. **Mirroring the
 # bin is half of the remedy**: the map of the mirrored formula shows the lower half twice. What it
 # leaves red, the tails beyond 37 deviations and, in `float32`, narrow bins, needs the other half:
 # `erfcx` and a series (`10_prior_and_likelihood`). A floor of $10^{-6}$ removes the red as well,
@@ -449,10 +447,10 @@ assert "ordinary" in verdicts["pass"]
 
 # %% [markdown]
 # ## What this idea buys
-# Here: trainings that end, whatever number they meet on their way, without a floor that a preset
-# would have to choose; and bits in all tails that a coder can be compared with. On the trained
-# scene itself it gains nothing: no bin of the demo's file is a hard case, and in the printed form
-# they cost the same bits to $10^{-12}$. The paper does not say how it computes its formulas; HAC,
+# Trainings end, whatever numbers they meet on their way, and no preset has to choose a floor. The
+# bits are right in all tails, so that a coder can be compared with them. On the trained scene
+# itself this gains nothing: no bin of the demo's file is a hard case, and in the printed form they
+# cost the same bits to $10^{-12}$. The paper does not say how it computes its formulas; HAC,
 # whose prior it uses, has a floor of $10^{-6}$ under $p$.
 
 # %%
@@ -469,14 +467,14 @@ assert abs(printed.sum() / ours.sum() - 1) < 1e-13
 # - A difference of nearly equal numbers, a number outside of the range, 0 / 0, and a comparison at
 #   a threshold: these four make a right formula wrong.
 # - The remedy is another way of writing the same formula, not more digits.
-# - A hard case has a true value that was computed with more digits; `p4dgs-ref stability` shows 85.
+# - A hard case has a true value that was computed with more digits; `p4dgs-ref stability` has 85.
 #
 # **Often misunderstood**
-# - *`float64` is enough.* In `float64`, Eq. (11) as printed is infinite from 8 or 9 standard
-#   deviations on.
-# - *A floor repairs it.* It makes the number finite and the gradient 0, so that an outlier stays
-#   where it is.
-# - *Tests with random inputs find this.* Hard inputs are rare; they must be looked for.
+# - *`float64` is enough.* In `float64`, Eq. (11) as printed is infinite from 8 to 10 standard
+#   deviations above the mean on, depending on the width of the bin.
+# - *A floor repairs it.* It makes the number finite and its gradient 0, so that the rate no longer
+#   pulls an outlier back.
+# - *Tests with random inputs find this.* Hard inputs are rare and have to be looked for.
 
 # %% [markdown]
 # ## Exercises

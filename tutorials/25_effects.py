@@ -24,9 +24,9 @@ architecture.show("25_effects", "view", "color", "deformation", "deformed", "com
 
 # %% [markdown]
 # ## What fails without it
-# A model without motion shows all balls where no ball ever is: between the places where they were.
-# So why not give every model everything? Because each effect that nothing in the scene needs still
-# has weights in the file, and work in every frame.
+# A model without motion shows every ball at one height, whatever the time is. So why not give every
+# model every effect? Because an effect that nothing in the scene needs still has weights in the
+# file, and costs work in every frame.
 #
 # On the left is the trained scene, in the middle the same file without the network that moves it.
 # The ten test views fall from 33.48 to 19.84 dB. On the right is the opposite mistake, in bytes:
@@ -56,7 +56,9 @@ figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
 for ax, one, title in zip(axes, (model, still), ("the trained scene", "without its motion")):
     image = show.frame(one, tour.CAMERA, tour.T)
     show.picture(ax, image, tour.CAMERA, **tour.VIEW, title=f"{title}, t = {tour.T}")
-axes[2].bar(["translation\n(listed)", "rotation\n(if listed)"], [13446, 520], color=show.TIME)
+axes[2].bar(
+    ["translation (listed):\n13,446", "rotation (if listed):\n520"], [13446, 520], color=show.TIME
+)
 axes[2].set(title="bytes of weights that only it needs")
 figures.show(figure, "25_effects_motion")
 
@@ -70,7 +72,7 @@ figures.show(figure, "25_effects_motion")
 # out although something moves, and the model shows, at best, the average of all moments. An
 # *effect* too many costs parameters, time and bytes. One too few spoils the picture.
 #
-# To switch an effect off is more than to set it to zero: its network head does not exist, and
+# Switching an effect off is more than setting it to zero: its network head does not exist, and
 # nothing computes it. Still the result must be the same: **an effect that is switched off equals
 # an effect with its neutral input**, here $\Delta = 0$. The model has seven effects, each with its
 # own part:
@@ -305,7 +307,7 @@ assert components(p4.encode(absent)).get("deformation_mlp", 0) == 0 < bytes_of_z
 # A video codec has *tools*. The header of a stream says which of them the stream does not use, and
 # the decoder neither reads nor computes those. Here the header lists the effects. A **ledger**
 # counts what each one costs (`p4dgs-ref effects static`): an untrained model draws the test views,
-# and for each effect that is not listed, a second model with only this effect switched on.
+# and so does, for each effect that is not listed, a second model to which this effect is added.
 
 # %%
 from p4dgs_ref.lab import effect_ledger
@@ -321,9 +323,10 @@ assert {"view", "positional_encoding", "deformation", "deformed"} == set(ledger[
 
 # %% [markdown]
 # Motion and view effects have *weights*, which take bytes. Occlusion and background have none, but
-# occlusion is *work*, because it needs a transmittance for every Gaussian at every pixel. The
-# untrained model draws larger splats than a trained one, so that occlusion is less work later: for
-# `bouncing`, 1,715,021 multiply-adds of a frame before the training and 486,874 in the demo's file.
+# occlusion is *work*, because it needs a transmittance for every Gaussian at every pixel. An
+# untrained model draws larger splats than a trained one, so occlusion becomes less work: for
+# `bouncing` it takes 1,715,021 multiply-adds per frame before the training, and 486,874 in the
+# demo's file.
 
 # %%
 counted = effect_ledger.costs(model, [(view.camera, view.time) for view in views])[0]
@@ -346,15 +349,14 @@ for panel, (label, values) in zip(axes, columns.items()):
     bars = panel.barh(effects, values, edgecolor="k", color=faces, hatch=hatches)
     panel.bar_label(bars, [f"{v:,.0f}" for v in values], padding=4, fontsize=13)
     panel.set_xlim(0, 1.25 * max(values))
-    panel.set_xlabel(label, fontsize=14)
-    panel.tick_params(labelsize=13)
+    panel.set_xlabel(label)
 axes[0].invert_yaxis()
 axes[1].text(2000, 5.5, "listed by the scene", color=figures.COLORS[0], va="center", fontsize=14)
 axes[1].text(2000, 3.5, "not listed: what it would cost", color=figures.COLORS[4], fontsize=14)
 figures.show(
     figure,
     "25_effects",
-    title="The scene `static`: what its two effects cost, and what five others would cost",
+    title="The scene `static`: what its two effects cost, and what each of five others would add",
     size=18,
 )
 
@@ -362,8 +364,9 @@ figures.show(
 # Who writes the list? A person does, or a program that looks at the pictures (`p4dgs-ref effects
 # SCENE --suggest`). Does anything move? The program trains twice, briefly: once with the true times
 # of the views, and once with the same times shuffled among the views. If nothing moves, both models
-# predict new views equally well. If something moves, the true times win. Where the pictures cannot
-# decide, the program lists the effect, because one too few is worse than one too many.
+# predict new views equally well. If something moves, the true times win. (The `±` below is one
+# standard error, over the views.) Where the pictures cannot decide, the program lists the effect,
+# because one too few is worse than one too many.
 
 # %%
 from p4dgs_ref.lab.suggest import gains_by_view, verdict
@@ -377,13 +380,14 @@ assert evidence == {"static": "no", "bouncing": "yes"}
 
 # %% [markdown]
 # ## What this idea buys
-# What is an effect worth? Only trainings tell, with it and without. A
+# What is an effect worth? Only trainings with it and without it can tell. A
 # [record](experiments/README.md#how-long-to-train-and-what-effects-gain) has trainings of
-# `bouncing` with one effect switched, three seeds each. A `±` is twice the standard error over the
-# seeds; a gain below it counts as none. Motion gains 13 dB for 13,446 bytes. Rotation, scaling and
-# `view_geometry`, which the scene does not list, gain nothing that three seeds can tell, and cost
-# bytes in every file. Without occlusion or background, most trainings *draw nothing*: their PSNR is
-# that of an empty page, 10.86 dB. What the model then lacks is not a number of dB but a beginning.
+# `bouncing` with one effect switched on or off, three seeds each. Here a `±` is twice the standard
+# error over the seeds; a gain below it counts as none. Motion gains 13 dB for 13,446 bytes of
+# weights. Rotation, scaling and `view_geometry`, which the scene does not list, show no gain with
+# three seeds, and cost bytes in every file. Without occlusion or background, most trainings *draw
+# nothing*: their PSNR is that of an empty page, 10.86 dB. How many dB these two effects are worth
+# cannot be said from that.
 #
 # The paper has no such switches; its scenes move, turn and shine, and all of Eqs. (2) to (6) are
 # always computed.
@@ -412,8 +416,9 @@ assert round(empty, 2) == 10.86
 # **Often misunderstood**
 # - *A head of zeros is the same as no head.* Its pictures are the same; its bytes, its work and its
 #   gradients are not.
-# - *Occlusion is worth 22.6 dB.* A comparison with an empty page measures the page.
-# - *An unlisted effect makes the rest worse.* The other equations return the same numbers.
+# - *Occlusion is worth 22.8 dB.* This is the difference from an empty page: without occlusion these
+#   trainings draw nothing.
+# - *Leaving an effect out changes what the other equations return.* They return the same numbers.
 
 # %% [markdown]
 # ## Exercises

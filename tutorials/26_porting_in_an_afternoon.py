@@ -39,8 +39,8 @@ node = shutil.which("node") or print("node is not installed: the port is not run
 # A port is finished, and the trained scene appears on the screen. Is it right? Two mistakes that
 # porters make leave a picture that looks right: quaternions in the order (x, y, z, w), and pixels
 # with their centres at one half. On the ten test views they cost 4.4 and 8.6 dB, and no picture
-# says which line to look at. Anchor 29's splats (purple) are where they should be in the first, and
-# only lie in another direction.
+# says which line to look at. With the first mistake, anchor 29's splats (purple) are where they
+# should be, and only point in another direction.
 
 # %%
 from p4dgs_ref.scenes import load_scene
@@ -163,11 +163,11 @@ lessons.check_mistake(
 
 # %% [markdown]
 # ## Break it
-# Here are seven mistakes. Each replaces one expression of the port. The table says which subjects
-# are run, which case must fail first, and how many of their cases fail. The last mistake was really
-# made, when the code was shortened. The reach of a splat that nothing cuts off is infinite. If the
-# splat is also infinitely wide, its conic is 0, and infinity times zero is NaN. No picture of a
-# trained model shows this; the case `equal_depths` and nine others do.
+# Here are seven mistakes. Each replaces one expression of the port. `MISTAKES` also says which
+# subjects are run, which case must fail first, and how many of their cases fail. The last mistake
+# was really made, when the code was shortened. The reach of a splat that nothing cuts off is
+# infinite. If the splat is also infinitely wide, its conic is 0, and infinity times zero is NaN. No
+# picture of a trained model shows this; the case `equal_depths` and nine others do.
 
 # %%
 MISTAKES = {
@@ -247,17 +247,17 @@ figures.show(figure, "26_porting", title="Seven mistakes in one line each")
 #
 # The *reason* that a decoder gives for refusing a file is not judged, and there the port had two
 # more mistakes. It read the networks in the order of the sections, whereas the package reads psi_d
-# last, so the two named different sections of a file in which two are damaged. And once two
-# arguments of a refusal were exchanged, so that a text stood where the byte should be. All streams
-# passed. Both mistakes were found by comparing section, byte and kind of the refusals, on the
+# last, so the two named different sections of a file in which two are damaged. And in one refusal
+# two arguments were swapped, so that a text stood where the byte should be. All streams passed
+# nevertheless. Both mistakes were found by comparing section, byte and kind of the refusals, on the
 # streams and on 2,000 damaged files.
 
 # %% [markdown]
 # ## What this idea buys
-# Seven mistakes of one line each, seven first lines of the checker that name the equation, in some
-# seconds for each; the whole check takes about five. Two of the seven are the pictures above, which
-# look right and have 4.4 and 8.6 dB less. The paper published no vectors: whoever ports it has its
-# equations and, in the best case, pictures to compare with.
+# For each of seven mistakes of one line, the checker's first line names the equation, or the codec,
+# within seconds; the whole check takes about five. Two of the seven are those of the pictures
+# above, which look right and lose 4.4 and 8.6 dB. The paper published no vectors: whoever ports it
+# has its equations and, at best, pictures to compare with.
 #
 # **In short**
 # - Copy the vectors, begin with scalar functions, then equations, then gradients, then the whole.
