@@ -311,8 +311,8 @@ left.set(
 for name, marker in zip(choices, "*so"):
     right.plot(taken[name].ms, wrong[name], marker, markersize=14, label=name)
 right.set(
-    title="Eq. (11): time on the file's bins, failures on all",
-    ylabel="bins with wrong bits (%)",
+    title="Eq. (11): time on the file's bins, failures on random ones",
+    ylabel="random bins with wrong bits (%)",
     xlabel="processor time (ms, 6,766 values)",
 )
 left.xaxis.set_major_formatter("{x:g}")
