@@ -411,9 +411,9 @@ assert np.allclose([*quality.values()], [33.48, 23.30, 19.87, 10.86, 33.48, 33.4
 
 # %% [markdown]
 # ## Exercises
-# **15.1** ●● In the pixel of "By hand", the middle layer turns white, and as in NeRF every layer
-# stores a thickness $\tau_i$, with $\alpha_i = 1 - e^{-\tau_i}$. What changes in the gradient? Give
-# four numbers: the pixel and, for $g = 1$, the three gradients $\bar\tau_i$.
+# **15.1** ●● In the pixel of "By hand", the middle layer turns white, and every layer stores a
+# thickness $\tau_i$, like fog, with $\alpha_i = 1 - e^{-\tau_i}$. What changes in the gradient?
+# Give four numbers: the pixel and, for $g = 1$, the three gradients $\bar\tau_i$.
 #
 # **15.2** ●● Write the forward pass. The argument `alpha_max` is the limit of $0.99$. Far along a
 # thin splat, rounding can make the exponent positive; it then counts as $0$.

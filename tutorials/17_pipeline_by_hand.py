@@ -680,8 +680,8 @@ assert 32 < quality < 33
 # **Often misunderstood**
 # - *If every equation is checked, the pipeline is right.* Equations say nothing of the order of
 #   inputs, or of which axis comes first.
-# - *A missing gradient shows in the loss.* The loss still falls, only less far
-#   (`19_one_training_step` tries it).
+# - *A missing gradient shows in the loss.* The rest of the gradient still makes a part of the loss
+#   fall, and the picture gets worse (`19_one_training_step` tries it).
 # - *Each network has a feature of its own.* All four read $f_a$, which gets four gradients from the
 #   picture, and one from its bits.
 
