@@ -80,14 +80,14 @@ def tutorial_of(key):
 
 # --- the checkout ---------------------------------------------------------------------------------
 def find_tools():
-    """Let the tutorial that runs import `tutorials.tools`, which only a checkout has."""
+    """Let the running tutorial import `tutorials.tools`, which only a checkout has."""
     for folder in folder_of_tutorial().parents:
         if (folder / "tutorials" / "tools").is_dir():
             sys.path.append(str(folder))
 
 
 def folder_of_tutorial():
-    """Return the folder of the tutorial that runs, or of its notebook."""
+    """Return the folder of the running tutorial, or of its notebook."""
     script = Path(sys.argv[0]).resolve().parent
     return script if script.name in ("tutorials", "solutions") else Path.cwd()
 
@@ -132,7 +132,7 @@ def close(a, b, tolerance=1e-12):
 def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
     """Check gradients by the adjoint identity along a random direction of all `inputs`.
 
-    `forward(**inputs)` returns a pair whose first part are outputs in the form of `cotangents`.
+    `forward(**inputs)` returns a pair whose first part is outputs in the form of `cotangents`.
     Returns the direction, and the change of the loss along it by differences.
     """
     d, h = random_like(rng, inputs), 1e-6
@@ -145,7 +145,7 @@ def adjoint(rng, forward, inputs, cotangents, gradients, tolerance=1e-7):
 
 # --- checks of ports ------------------------------------------------------------------------------
 def passes(*keys, port=None):
-    """Check equations of this project, or a port of one, by the golden vectors; print the report.
+    """Check equations of this project, or a port of one, with the golden vectors; print the report.
 
     The gradients of this project's equations are checked as well.
     """
@@ -157,7 +157,7 @@ def passes(*keys, port=None):
 
 
 def check_mistake(mistaken, key, *says, vjp=None):
-    """Check a port with a mistake; print where it fails first and why, and what `says` must be."""
+    """Check that a port with a mistake fails; print where and why, which contains all of `says`."""
     first = oracle().check(mistaken, key, vjp).first
     assert first, f"{key}: the mistake is not noticed"
     message = f"{first.id} fails: {first.explanation or first.hint or first.findings[0].message}"
@@ -187,7 +187,7 @@ def check_number(exercise, mine, want=None, digits=6):
         return settle(exercise, "no answer yet" if mine is ... else "expected a number")
     if mine.shape != want.shape:
         shapes = f"{list(mine.shape)}, expected {list(want.shape)}"
-        return settle(exercise, f"shape {shapes}; [] is a single number")
+        return settle(exercise, f"shape {shapes}; [] means a single number")
     near, smallest = (0, 0) if is_whole(want) else (NEAR_TOLERANCE, 10.0**-digits)
     right = np.isclose(mine, want, 0, smallest * np.abs(want).max(initial=0))
     if right.all():
@@ -244,7 +244,7 @@ def settle(exercise, problem, waived=""):
 
 
 def hint(exercise):
-    """Print the first hint on an exercise, and the second one when it is asked for again."""
+    """Print the first hint on an exercise and, when called again, the second one."""
     hints = read_stored("hints")[exercise]
     HINTS_GIVEN[exercise] = min(HINTS_GIVEN.get(exercise, 0) + 1, len(hints))
     print(f"hint {HINTS_GIVEN[exercise]} of {len(hints)}: {hints[HINTS_GIVEN[exercise] - 1]}")
@@ -258,7 +258,7 @@ def read_stored(name):
 
 # --- what is wrong with an answer -----------------------------------------------------------------
 class WrongForm(TypeError):
-    """An answer does not have the form that is asked for. The message is one sentence."""
+    """An answer that does not have the requested form. The message is one sentence."""
 
 
 def outputs_of(answer, names):
@@ -274,7 +274,7 @@ def outputs_of(answer, names):
 
 
 def gradients_of(answer, names):
-    """Return the gradients in `names` of those that a backward returned. Raises WrongForm."""
+    """Return those gradients of a backward that are in `names`. Raises WrongForm."""
     if not isinstance(answer, dict):
         raise WrongForm(
             f"expected a dictionary {{input name: gradient}}, got {type(answer).__name__}"
@@ -286,10 +286,10 @@ def gradients_of(answer, names):
 def problem(cases, port, roles):
     """Return what is wrong with a port in its first wrong case, and which faults do not count.
 
-    Either is "" if there is none. The checker sees the answers to all cases and names a mistake
-    that it knows. Where only gradients are asked for, outputs count as right.
+    Each is "" if there is none. The checker sees the answers to all cases and names a mistake that
+    it knows. Where only gradients are asked for, outputs count as right.
     """
-    answers = {}  # those that are judged; asked again, a port may answer something else
+    answers = {}  # the judged ones; asked again, a port may answer something else
 
     def run(case):
         right = case.tensors.items() if "out." not in roles else ()
@@ -323,8 +323,8 @@ def problem(cases, port, roles):
 def difference(mine, right, example=""):
     """Return how an array differs from the right one of the same shape.
 
-    For a single number only one of TELLING_FACTORS is named; others would give the answer away.
-    `example` is added if the errors of several numbers have nothing in common.
+    For a single number only factors in TELLING_FACTORS are named; others would give the answer
+    away. `example` is added if the errors of several numbers have nothing in common.
     """
     near, rounding = (0, 0) if is_whole(right) else (NEAR_TOLERANCE, ROUNDING_TOLERANCE)
     wrong = ~np.isclose(mine, right, rounding, 0)
@@ -355,5 +355,5 @@ def difference(mine, right, example=""):
 
 
 def is_whole(right):
-    """Return whether the right numbers are integers, which are right or wrong but never near."""
+    """Return whether the right numbers are integers, for which no answer is nearly right."""
     return right.dtype.kind in "iub"

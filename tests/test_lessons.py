@@ -40,7 +40,7 @@ def test_close_is_relative_to_the_largest_number():
         ([1, 5], "1 of 2 numbers are wrong; the first, [1]: it is wrong: its sign is right, its"),
         ([-1, 6], "2 of 2 numbers are wrong; the first, [0]: it is -1 times the right number"),
         ([1, -np.inf], "not solved: [1] is -inf\n"),
-        (3, "not solved: shape [], expected [2]; [] is a single number"),
+        (3, "not solved: shape [], expected [2]; [] means a single number"),
         ("two", "not solved: expected a number"),
     ],
 )

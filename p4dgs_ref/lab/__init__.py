@@ -2,13 +2,13 @@
 
 
 class StudyError(ValueError):
-    """A mistake in what a study is asked for: one line with its name and what was expected."""
+    """Invalid input of a study: one line with its name and what was expected."""
 
 
 def entry(table, kind, name):
     """Return the entry of a table by its name.
 
-    Raises StudyError with the known names for another one.
+    Raises StudyError, which lists the known names, for any other name.
     """
     if name not in table:
         raise StudyError(f"{kind} {name!r}: expected one of {', '.join(table)}")

@@ -1,4 +1,4 @@
-"""Processor times taken in turns, their spread, and what may be said about them.
+"""Processor times measured in turns, their spread, and what may be concluded from them.
 
 The processor's clock of a process stands still while other programs run. They still share caches
 and frequency with it, so a time is given with its quartiles, and if the wall clock runs clearly
@@ -14,7 +14,7 @@ import numpy as np
 from ..training.trainer import Trainer
 
 ROUND_SECONDS = 0.3  # shorter rounds are repeated more often: other programs disturb them more
-MAX_STRETCH = 1.1  # the wall clock's seconds over the processor's, if nothing disturbs
+MAX_STRETCH = 1.1  # seconds of the wall clock over those of the processor, if undisturbed
 
 
 def clocks():
@@ -48,8 +48,8 @@ def times_of(turns):
 def alternate(functions, repeats):
     """Return the Times of one call of each function, {name: Times}.
 
-    The functions are called in turn, so that a disturbance meets all of them, after one call to
-    warm up. `repeats` is the smallest number of turns; short rounds take up to five times as many.
+    After a call of each to warm up, the functions take turns, so that a disturbance affects all of
+    them. `repeats` is the smallest number of turns; short rounds take up to five times as many.
     """
     spent = sum(call_with_clocks(function)[1][0] for function in functions.values())
     turns = {name: [] for name in functions}
@@ -75,15 +75,15 @@ def disturbance(stretch):
         return ""
     return (
         f"Disturbed: the wall clock ran {stretch:.2g} times as fast as the processor's, so "
-        "other programs took turns with the measurement. Processor times leave out their turns, "
-        "but not what they do to caches and frequency."
+        "other programs ran in between. Processor times leave these out, but not what they do "
+        "to caches and clock frequency."
     )
 
 
 def step_at(scene, preset, stage):
-    """Return a function that does the second step of a stage again and again.
+    """Return a function that repeats the second step of a stage.
 
-    The first step, which is done here, may have work that a stage does only once.
+    The first step, which is done here, may do work that a stage does only once.
     """
     # The anchors stay as they are.
     trainer = Trainer(scene, replace(preset, grow_every=10**9))

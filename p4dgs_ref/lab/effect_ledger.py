@@ -1,8 +1,8 @@
 """The ledger of effects: the work and the bytes of each effect of a scene.
 
-Work is that of the networks' layers and of the splats in the tiles of drawn frames. Work and bytes
-are those that would go if this effect alone were switched off: hidden layers that it shares with
-another one stay.
+Work is that of the networks' layers and of the splats in the tiles of drawn frames. The work and
+bytes of an effect are what switching it off alone would save; hidden layers that it shares with
+another effect stay.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ from ..training.trainer import Trainer
 from ..training.watch import equation_codes, watch_calls
 from .writer import text_table
 
-# Equations that are called only for effects of the view, or of motion.
+# Equations that are called only for effects of the view or of motion.
 ONLY_FOR_EFFECTS = ("view", "positional_encoding", "deformation", "deformed")
 
 
@@ -85,7 +85,7 @@ def costs(model, frames):
 
 # --- the ledger -----------------------------------------------------------------------------------
 def toggle_effect(scene, effect):
-    """Return the scene with one effect more, or less, on its list."""
+    """Return the scene with one effect more or less on its list."""
     return replace(scene, effects=set(scene.effects) ^ {effect})
 
 
@@ -118,8 +118,8 @@ def amount(row, kind):
 
 
 def to_text(ledger):
-    """Return the ledger as text: what it says, and a line per effect."""
-    columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds of a frame": "{work}"}
+    """Return the ledger as text: its answer, then a line per effect."""
+    columns = {"effect": "{effect}", "listed": "{yes}", "multiply-adds per frame": "{work}"}
     columns |= {"bytes of weights": "{bytes}"}
     cells = [
         {
@@ -138,7 +138,7 @@ def answer(ledger):
     return (
         f"{ledger['scene']} lists {', '.join(listed) or 'no effect'}",
         f"equations never called: {', '.join(ledger['never_called']) or 'none'}",
-        "counted in an untrained model of the preset tiny",
+        "counted in an untrained model of preset tiny",
     )
 
 
@@ -149,8 +149,8 @@ def draw_ledger(path, ledger):
     Those that the scene does not list cost nothing; a hollow bar is what one would cost alone.
     """
     panels = {
-        "work": "Work: multiply-adds of a frame",
-        "bytes": "Bytes of its weights (float16)",
+        "work": "Work: multiply-adds per frame",
+        "bytes": "Bytes of weights (float16)",
     }
     figure, axes = subplots(len(panels), figsize=(4.2, 5.2))
     for ax, (kind, title) in zip(axes, panels.items()):

@@ -1,4 +1,4 @@
-"""Independent calls in several processes, which end with their parent; not for measuring times."""
+"""Independent calls in several processes, which end with their parent; not for timing."""
 
 import multiprocessing
 import os
@@ -21,7 +21,7 @@ def begin():
 
 
 def end_with_parent():
-    """Wait in a worker until its parent has ended, however it did, then end the worker."""
+    """Wait in a worker until its parent has ended for whatever reason, then end the worker."""
     multiprocessing.parent_process().join()
     os._exit(1)
 

@@ -1,13 +1,13 @@
 """Which effects do the pictures call for? Judged by short trainings in pairs.
 
-An effect reads the time of a view or the place of its camera. These values say something about the
-picture only if the effect plays a part. Training begins with the values shuffled among the
+An effect reads the time of a view or the position of its camera. These values say something about
+the picture only if the effect plays a part. Training begins with the values shuffled among the
 views. After half of the iterations it continues twice, once with the shuffled and once with the
 true values. Both see the views in the same order, so without the effect neither has an advantage.
-They are compared on views that were kept back from both. Occlusion is trained with and without it.
+They are compared on views held back from both. Occlusion is trained with and without it.
 
-An effect that the pictures cannot decide is kept: a model with an effect too many is larger, a
-model with an effect too few is wrong.
+An effect on which the pictures cannot decide is kept: a model with one effect too many is larger, a
+model with one too few is wrong.
 """
 
 import json
@@ -26,8 +26,8 @@ from ..training.trainer import Trainer
 from .clock import alternate, step_at
 from .processes import in_processes
 
-# The iterations of a training, and the pairs, each of which keeps another part of the views back.
-# Effects of the view are as small as what trainings differ by, so they need two pairs. All
+# The iterations of a training, and the number of pairs, each of which holds back other views.
+# Effects of the view are as small as the differences between trainings, so they need two pairs. All
 # trainings together have fewer iterations than one of the preset `tiny`.
 PAIRS = {
     "translation": (560, 1),
@@ -35,26 +35,26 @@ PAIRS = {
     "view_geometry": (450, 2),
     "occlusion": (120, 1),
 }
-HOLD_OUT_EVERY = 6  # one view of so many is kept back
-MIN_VIEWS = 2 * HOLD_OUT_EVERY  # with fewer nothing can be kept back
+HOLD_OUT_EVERY = 6  # one view of so many is held back
+MIN_VIEWS = 2 * HOLD_OUT_EVERY  # with fewer, nothing can be held back
 MIN_GAIN = 0.2  # dB; effects that gain less are not worth their bytes
 OF_VIEW = ("view_color", "view_geometry")
 
 
 @dataclass(frozen=True)
 class MisplacedCamera(Camera):
-    """A camera that gives the networks the place of another one."""
+    """A camera that tells the networks the position of another one."""
 
     place: np.ndarray | None = None
 
     @property
     def center(self):
-        """The place of the other camera."""
+        """The position of the other camera."""
         return self.place
 
 
 def plan(scene):
-    """Return what is trained: (scene, effects of motion, effect, first view kept back, steps)."""
+    """Return what is trained: (scene, effects of motion, effect, first view held back, steps)."""
     moving = fx.MOTION if len({view.time for view in scene.train}) > 1 else ()
     return [
         (scene, moving, effect, fold, iterations)
@@ -65,12 +65,12 @@ def plan(scene):
 
 
 def steps_of(tasks):
-    """Return how many steps the pairs need; they share half unless the effect is occlusion."""
+    """Return how many steps the pairs need; a pair shares half, except that of occlusion."""
     return sum((2 if effect == "occlusion" else 1.5) * n for _, _, effect, _, n in tasks)
 
 
 def seconds_of(scene, jobs=1):
-    """Return about how many seconds `suggest` takes, judging by steps in which things move."""
+    """Return about how many seconds `suggest` takes, judging by steps with motion."""
     step = step_at(scene, short(PAIRS["translation"][0]), 3)
     ms = alternate({"step": step}, 5)["step"].ms
     return 1e-3 * ms * steps_of(plan(scene)) / jobs
@@ -105,7 +105,7 @@ def suggest(scene, progress=lambda line: None, jobs=1):
 
 
 def gains_by_view(task):
-    """Return by how many dB an effect improves each view that was kept back: an array."""
+    """Return by how many dB an effect improves each view that was held back: an array."""
     scene, moving, effect, fold, iterations = task
     views, effects = scene.train, {*moving, "occlusion", "background", effect}
     if effect == "occlusion":
@@ -120,7 +120,7 @@ def gains_by_view(task):
 
 
 def shuffle_views(views, effect, seed):
-    """Return the views with the times, or the places of the cameras, of other views."""
+    """Return the views with the times, or the camera positions, of other views."""
     other = [views[i] for i in np.random.default_rng(seed).permutation(len(views))]
     if effect in fx.MOTION:
         return [replace(view, time=theirs.time) for view, theirs in zip(views, other)]
@@ -145,10 +145,10 @@ def short(iterations):
 
 
 def scores(scene, first, seconds, effects, fold, iterations):
-    """Return PSNR (dB) of every view that is kept back, one array for each of `seconds`.
+    """Return PSNR (dB) of every view that is held back, one array for each of `seconds`.
 
-    The first half of a short training is given the views `first`, the second half those of one of
-    the `seconds`.
+    The first half of a short training sees the views `first`, the second half those of one of the
+    `seconds`.
     """
     held_out = range(fold, len(first), HOLD_OUT_EVERY)
 
@@ -168,21 +168,21 @@ def scores(scene, first, seconds, effects, fold, iterations):
 
 
 def verdict(effect, gains, count):
-    """Return (verdict, evidence) from the gains (dB) of views that were kept back, in pairs.
+    """Return (verdict, evidence) from the gains (dB) of views that were held back, in pairs.
 
     The gains of two pairs differ because their views do, and because trainings do; the larger of
     the two errors counts.
     """
     if not gains:
-        return "cannot tell", f"{count} views are too few to keep some back; expected {MIN_VIEWS}"
+        return "cannot tell", f"{count} views are too few to hold some back; expected {MIN_VIEWS}"
     pairs, gains = [np.mean(pair) for pair in gains], np.concatenate(gains)
     mean, error = gains.mean(), max(gains.std() / np.sqrt(len(gains)), np.ptp(pairs) / 2)
-    # Effects of the view are learned late: a short training shows about half of their worth.
+    # Effects of the view are learned late: a short training shows about half of their gain.
     least = MIN_GAIN / 2 if effect in OF_VIEW else MIN_GAIN
     answer = "no" if mean + 2 * error < least else "cannot tell"
     if mean - 3 * error > MIN_GAIN:
         answer = "yes"
-    return answer, f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views kept back"
+    return answer, f"{mean:+.2f} ± {error:.2f} dB on {len(gains)} views held back"
 
 
 def background(views, color):

@@ -31,7 +31,7 @@ def group_rows(rows, *keys):
 
 
 def text_table(columns, rows):
-    """Return lines of text, the first column to the left, the others to the right.
+    """Return lines of text, the first column aligned left, the others right.
 
     `columns` is {heading: form}; a form is filled with the fields of a row. Fields that are None or
     missing give a dash.
@@ -40,7 +40,7 @@ def text_table(columns, rows):
 
 
 def align(cells):
-    """Return rows of text as lines, the first column to the left, the others to the right."""
+    """Return rows of text as lines, the first column aligned left, the others right."""
     widths = [max(map(len, column)) for column in zip(*cells)]
     forms = [f"{'<' if i == 0 else '>'}{width}" for i, width in enumerate(widths)]
     return ["  ".join(map(format, line, forms)).rstrip() for line in cells]

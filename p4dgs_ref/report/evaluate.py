@@ -12,7 +12,7 @@ from ..splatting.settings import FAST, Settings
 from ..training.objective import psnr
 from .inspect import components
 
-# D3DGS stores 3 numbers of position, 3 of scale, 4 of rotation, 1 of opacity and 48 of colour.
+# D3DGS stores 3 numbers for position, 3 for scale, 4 for rotation, 1 for opacity, 48 for colour.
 FLOATS_PER_GAUSSIAN = 59
 FLOATS_WITHOUT_SH_REST = 14
 
@@ -40,7 +40,7 @@ def score(image, view):
 
 
 def names_in_training(scene):
-    """Return the names of test views that are training views, by picture or by camera and time."""
+    """Return the names of test views that are also training views: same picture, or same pose."""
 
     def marks(view):
         R, T = view.camera.R, view.camera.T
@@ -58,8 +58,8 @@ def evaluate(
     Returns (metrics, rows, images). metrics are the means over the views, {psnr_db, psnr_fg_db,
     ssim, render_fps, anchors, gaussians} and the `size` of the pictures; there is one row
     {name, time, size, ...} and one image (H, W, 3) per view. Raises ValueError if the scene has
-    no such views. Warns of a scene that lies over another background than the model, and of test
-    views that are training views.
+    no such views. Warns if the scene has another background than the model, and of test views that
+    are also training views.
     """
     views = {"train": scene.train, "test": scene.test}.get(split)
     if not views:
@@ -67,15 +67,15 @@ def evaluate(
     if np.abs(model.background - scene.background).max() > 1 / 255:
         file, here = ("{:.3g} {:.3g} {:.3g}".format(*of.background) for of in (model, scene))
         warnings.warn(
-            f"the file has the background {file}, scene {scene.name} {here}; expected equal "
-            "ones, by load_scene(..., background=...) or the effect `background` in scene.json",
+            f"the file has background {file}, scene {scene.name} has {here}; expected equal "
+            "ones, set by load_scene(..., background=...) or effect `background` in scene.json",
             stacklevel=2,
         )
     seen = names_in_training(scene) if split == "test" else ()
     if seen:
         warnings.warn(
-            f"scene {scene.name}: {len(seen)} of {len(views)} test views are training views (same "
-            f"picture, or same camera and time), such as {seen[0]}",
+            f"scene {scene.name}: {len(seen)} of {len(views)} test views are also training "
+            f"views (same picture, or same camera and time), such as {seen[0]}",
             stacklevel=2,
         )
     images, seconds = [], []

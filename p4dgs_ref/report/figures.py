@@ -84,7 +84,7 @@ def write_csv(path, rows):
 
 
 def error_of(image, truth):
-    """Return the absolute error [H, W] of an image, the mean of R, G and B, and it as a title."""
+    """Return the absolute error [H, W] of an image, averaged over R, G and B, and its title."""
     error = np.abs(image - truth).mean(axis=2)
     return error, f"mean {error.mean():.3f}"
 
@@ -100,7 +100,7 @@ def literal(text):
 
 @figure_style()
 def draw_pictures(path, title, rows):
-    """Draw rows (label, [(picture, title), ...]); the last row must be one of errors."""
+    """Draw rows (label, [(picture, title), ...]); the last row must show errors."""
     shape = len(rows), len(rows[0][1])
     figure, axes = subplots(
         *shape, figsize=(2.6 * shape[1] + 0.5, 9.2 / 3 * shape[0]), squeeze=False
@@ -163,7 +163,7 @@ def gif_of(images):
 
 
 def film_views(model, frames=24, azimuth=40.0, **options):
-    """Return the (camera, time) of a film by a fixed camera; around a model that does not move."""
+    """Return the (camera, time) pairs of a film. The camera moves only if the model does not."""
     turn = 0 if moves(model.design.effects) else 360
     return [
         (fixed_camera(model, azimuth + turn * i / frames, **options), t)
@@ -174,7 +174,7 @@ def film_views(model, frames=24, azimuth=40.0, **options):
 def write_motion(path, model, scene, frames=24):
     """Write a GIF of the model over time, seen by a test camera; small pictures are enlarged.
 
-    A model that does not move is seen by one camera of the scene after the other.
+    If the model does not move, the scene's cameras take turns.
     """
     views = [*scene.test, *scene.train]
     cameras = [view.camera for view in views[:: 1 + len(views) // frames]]
@@ -206,7 +206,7 @@ def write_size(folder, name, metrics):
     ax.locator_params(axis="x", nbins=5)
     explicit = metrics["explicit_bytes"]
     figure.suptitle(
-        f"{name}: {size:,} bytes\nits Gaussians as float32: {explicit:,} bytes, "
+        f"{name}: {size:,} bytes\nits Gaussians and ψ_d as float32: {explicit:,} bytes, "
         f"{explicit / size:.1f} times as many",
         fontsize=14,
     )

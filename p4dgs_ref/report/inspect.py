@@ -46,7 +46,7 @@ def float_bits(q, rows):
 
 
 def blocks_of(q):
-    """Return slices of the anchors, so short that the numbers of one fit beside the model.
+    """Return slices of the anchors, each so short that its numbers fit beside the model.
 
     A file that the decoder accepts must not cost more memory here than there. A large grid makes
     the blocks longer, because each of them reads all of it.
@@ -61,7 +61,7 @@ def blocks_of(q):
 
 
 def attribute_bits(q):
-    """Return {section: bits [2]} of the attributes: the float model's, the integer frequencies'."""
+    """Return {section: bits [2]} of the attributes: by the float model, by integer frequencies."""
     totals = {name: np.zeros(2) for name in ATTRIBUTE_SECTIONS}
     for rows in blocks_of(q):
         floats, integers = float_bits(q, rows), symbol_bits(q, rows)
@@ -134,7 +134,7 @@ def ledger_row(name, size, header, symbols=None, estimate=None, coded=None):
 def symbol_bits(q, rows=slice(None)):
     """Return the bits [rows, n] of the symbols of some anchors, or of all.
 
-    They are those of the integer frequencies, 0 where nothing is coded.
+    They come from the integer frequencies and are 0 where nothing is coded.
     """
     kept = q.kept[rows]
     arrays = (q.symbols, q.context.mu_units, q.context.sigma_units)
@@ -154,6 +154,6 @@ def anchor_bits(data):
 
 
 def components(data):
-    """Return {name: bytes} of every section; the container's own are among those of the header."""
+    """Return {name: bytes} of every section; the container's own bytes count as the header's."""
     sizes = {name: len(body) for name, body in read_container(data).items()}
     return {**sizes, "header": sizes.get("header", 0) + len(data) - sum(sizes.values())}

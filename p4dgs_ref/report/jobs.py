@@ -24,7 +24,7 @@ from ..training.trainer import Trainer
 from . import figures
 from .evaluate import call_with_seconds, compression, evaluate, json_safe
 
-OVERFITTED = 6  # dB; training views that are better than test views by more get a warning
+OVERFITTED = 6  # dB; a warning is given if training views are better than test views by more
 
 
 def main_job(
@@ -66,8 +66,8 @@ def main_job(
         if scene.test and trained > measures["psnr_db"] + OVERFITTED:
             warnings.warn(
                 f"scene {scene.name}: training views have {trained:.2f} dB at {measures['size']}, "
-                f"test views {measures['psnr_db']:.2f} dB: the model knows the pictures better "
-                "than the scene; more cameras, or slower motion between them, would tell more",
+                f"test views {measures['psnr_db']:.2f} dB: the model has learned the training "
+                "pictures rather than the scene; more cameras, or less motion, would help",
                 stacklevel=2,
             )
         metrics = {

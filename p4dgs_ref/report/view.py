@@ -22,8 +22,8 @@ def page(files, notes=None):
 def with_files(files, notes=None):
     """Return the text of page.html with files {path: bytes}; the first one is shown first.
 
-    `notes` {path: {...}} say more of a file: `anchor` is the one that the guide follows. Files with
-    `lambda_rate` and `psnr_db` (against the true pictures) give the guide its last step.
+    `notes` {path: {...}} say more about a file: `anchor` is the one that the guide follows. Files
+    with `lambda_rate` and `psnr_db` (against the true pictures) give the guide its last step.
     """
     notes = notes or {}
     embedded = [

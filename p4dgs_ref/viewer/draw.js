@@ -18,7 +18,7 @@
   /** Why a sound file is too large for this page, or null. */
   function tooLarge({ header: { anchors, k } }) {
     const [count, most] = [anchors * k, MOST].map((number) => number.toLocaleString("en"));
-    return anchors * k > MOST ? `${count} Gaussians; this page takes at most ${most}` : null;
+    return anchors * k > MOST ? `${count} Gaussians; this page shows at most ${most}` : null;
   }
 
   const products = (layers) => layers.reduce((sum, { I, J }) => sum + I * J, 0);

@@ -42,7 +42,7 @@
   }
 
   // --- numbers ----------------------------------------------------------------------------------
-  /** A number with four digits that count. */
+  /** A number with four significant digits. */
   function digits(v) {
     if (Number.isInteger(v) && Math.abs(v) < 1e6) return String(v);
     const size = Math.abs(v);
@@ -136,7 +136,7 @@
     const bin = `${x(left)},${base} ${path(left, right)} ${x(right)},${base}`;
     const share = 2 ** -bits;
     const said =
-      `${digits(v)} becomes ${symbol} · q = ${digits(symbol * q)}. The bin has ` +
+      `${digits(v)} becomes ${symbol} · q = ${digits(symbol * q)}. The bin holds ` +
       `${digits(100 * share)} % of the bell: ${bits.toFixed(2)} bits.`;
     const parts = [
       `<polygon points="${bin}" class="bin" />`,
@@ -240,9 +240,9 @@
       sum(bits.slice(first, first + width)),
       "Eq. (11): bits = −log₂(Φ((v + q/2 − μ)/σ) − Φ((v − q/2 − μ)/σ))",
     ]);
-    const plain = "three coordinates of 16 bits, and the box; the mean of all anchors";
+    const plain = "three coordinates of 16 bits, and the box; mean over all anchors";
     parts.unshift(["position", position, plain]);
-    parts.push(["masks", masks, "Eq. (14): −log₂ of how frequent each flag is; the mean"]);
+    parts.push(["masks", masks, "Eq. (14): −log₂ of the frequency of each flag; the mean"]);
     const all = sum(parts.map(([, size]) => size));
     parts.push(["all", all, `of ${total.toLocaleString("en")} bits of the file`]);
     const share = (size) => `${((100 * size) / total).toFixed(3)} %`;
@@ -294,7 +294,7 @@
     return table(`Its children, as this camera sees them now${left}`, head, rows);
   }
 
-  /** All that the page says of anchor `a`, as elements. `total` is the file's size in bits. */
+  /** All that the page says about anchor `a`, as elements. `total` is the file's size in bits. */
   function anchor(frame, a, total) {
     const { model } = frame;
     return [bill(model, a, total), children(frame, a), stored(model, a)];

@@ -1,4 +1,4 @@
-// The guided way through a file, and the link that brings a visitor back to what they saw.
+// The guided tour of a file, and the link that brings a visitor back to what they saw.
 //
 // Each step is an article of page.html, with its text and the state of the picture.
 "use strict";
@@ -41,9 +41,9 @@
     networks: (model) => whole(page.networkBytes(model)),
   };
 
-  const anchors = new WeakMap(); // of each model the one that the steps explain
+  const anchors = new WeakMap(); // of each model, the anchor that the steps explain
 
-  /** An anchor whose children are seen and move more than those of others. */
+  /** The anchor whose visible children move the most. */
   function telling({ header }) {
     const { gaussians, moved } = seen();
     const [weights, x] = [new Float64Array(header.anchors), gaussians.x];
@@ -118,10 +118,10 @@
   const go = (by) => visit(STEPS[STEPS.indexOf(step) + by] ?? step);
 
   // --- the link ---------------------------------------------------------------------------------
-  /** The address of what is seen. Behind # it has `step` (a name, or explore), `file` (its number
+  /** The address of what is seen. After # it has `step` (a name, or explore), `file` (its number
    *  where the page holds several), `camera` (azimuth and elevation in degrees; distance and shift
    *  in units of the first distance) and `t`. What it leaves out is as the step sets it: a
-   *  camera that nobody moved, and a time that runs, unless the address is `exact`. */
+   *  camera that nobody moved, and a running time, unless the address is `exact`. */
   function address({ exact }) {
     const home = page.homeDistance(state.model);
     const { azimuth, elevation, distance, shift, isMoved, playing } = state;
@@ -140,7 +140,7 @@
   async function copy() {
     try {
       await navigator.clipboard.writeText(address({ exact: true }));
-      $("copy").textContent = page.chosen()?.isOwn ? "Copied, not your file" : "Copied";
+      $("copy").textContent = page.chosen()?.isOwn ? "Copied, without your file" : "Copied";
     } catch {
       page.play(false); // the address bar then has the time, too
       $("copy").textContent = "See the address bar";
@@ -151,9 +151,9 @@
   /** `n` if it is a whole number from 1 to `most`, else null. */
   const choice = (n, most) => (Number.isInteger(n) && n >= 1 && n <= most ? n : null);
 
-  let isFollowed = false; // what the address says, by the scene that is shown
+  let isFollowed = false; // whether the scene shown is the one of the address
 
-  /** Does what the address says. What is not a value of a field is as if it were left out. */
+  /** Does what the address says. Invalid values count as left out. */
   function follow({ newURL = location.href }) {
     const fields = Object.fromEntries(new URLSearchParams(newURL.split("#")[1]));
     const numbers = (name) => (fields[name] ?? "").split(",").map(Number.parseFloat);

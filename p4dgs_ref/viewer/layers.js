@@ -1,8 +1,8 @@
 // What can be drawn above a picture: anchors with children, ellipses, motion, paths, the grid.
 //
 // A frame is what was drawn: {model, camera, t, gaussians, moved, splats, selected, level}.
-// A layer returns what is to be said of it, if anything.
-// Every line but those of paths has a light edge, so that it is seen on any background.
+// A layer returns a note about itself, or null.
+// Every line except those of paths has a light edge, so that it shows on any background.
 "use strict";
 
 (function (exported) {
@@ -202,7 +202,7 @@
   // --- the hash grid ----------------------------------------------------------------------------
   const corner = ({ lo, hi }, shares) => shares.map((share, i) => lo[i] + share * (hi[i] - lo[i]));
 
-  /** Of how many nodes one is drawn. */
+  /** One of how many nodes is drawn. */
   const every = (R) => Math.ceil((R - 1) / (MOST_LINES - 1)) || 1;
 
   /** Level `level` of the grid: its axes, R nodes along each, and where its signs begin. */

@@ -119,7 +119,7 @@
     end() {
       const bytes = Math.ceil(this.bitsRead / 8);
       this.need(this.at + bytes === this.bytes.length, "bytes are left over");
-      this.need(this.bits(8 * bytes - this.bitsRead) === 0, "a bit that is not in use");
+      this.need(this.bits(8 * bytes - this.bitsRead) === 0, "an unused bit is set");
     }
   }
 
@@ -217,10 +217,10 @@
     try {
       fields = JSON.parse(marked);
     } catch {
-      // what is no JSON is no object either
+      // invalid JSON is not an object either
     }
     section.need(fields instanceof Object && !Array.isArray(fields), "expected a JSON object");
-    section.need(keys === Object.keys(fields).length, "a field occurs twice, or within another");
+    section.need(keys === Object.keys(fields).length, "a field is repeated or nested");
     return fields;
   }
 
@@ -266,7 +266,7 @@
     };
   }
 
-  /** Refuses a header that promises more numbers or work than a file of n bytes may. */
+  /** Refuses a header that declares more numbers or work than a file of n bytes may. */
   function checkLimits(section, header, layers, n) {
     const { anchors, d, k, F, grid } = header;
     const entries = entriesOf(header);
@@ -339,7 +339,7 @@
     for (let i = 0; i < n; i++) {
       while (i === n - tail && lanes.length > 1) {
         const last = lanes.pop();
-        section.need(last.hi === 0 && last.lo >= 2 ** 31, "a lane does not end as it began");
+        section.need(last.hi === 0 && last.lo >= 2 ** 31, "a lane does not end as it started");
         endLane(last, zero, given);
       }
       const x = lanes[i % lanes.length];

@@ -11,11 +11,11 @@
 
   const FIELD = (41 * Math.PI) / 180; // the angle of view
   const PERIOD = 4000; // milliseconds in which time runs from 0 to 1
-  const COMPARED = 128; // pixels along a side of the pictures whose PSNR is told
+  const COMPARED = 128; // pixels along a side of the pictures whose PSNR is measured
   const MOST_BYTES = 2 ** 29;
   const TURN = 16000; // milliseconds in which the camera goes around the scene by itself
   const SLOW = 50; // milliseconds; where frames take longer, a picture that moves has fewer pixels
-  const MOST_FEWER = 4; // so that something can still be seen
+  const MOST_FEWER = 4; // more would leave too little to see
   const WALK = 48; // places of a walk around the scene
 
   const state = {
@@ -31,7 +31,7 @@
     isMoved: false, // the camera, by the visitor
     playing: false,
     turning: false, // the camera, by itself
-    phase: 0, // of time to and fro: 0 ... 2
+    phase: 0, // of time, which runs forwards and backwards: 0 ... 2
     selected: null,
     painted: Infinity, // how many of the Gaussians, from front to back
     pixel: [0.5, 0.5], // whose Gaussians are listed; from 0 to 1 along the sides of the picture
@@ -71,7 +71,7 @@
   const isShown = (id) => $(id).offsetParent !== null;
   const clip = (v, low, high) => Math.min(Math.max(v, low), high);
 
-  /** Sets what is given of azimuth, elevation, distance and shift, within their ranges. */
+  /** Sets those of azimuth, elevation, distance and shift that are given, within their ranges. */
   function aim(changes) {
     const to = { ...state, ...changes };
     const home = homeDistance(state.model);
@@ -139,18 +139,18 @@
     $("time-now").value = time().toFixed(2);
   }
 
-  /** Asks for a picture that the visitor moves; another one follows when it is at rest. */
+  /** Asks for a picture while the visitor moves it; another one follows when it is at rest. */
   function moving() {
     clearTimeout(atRest);
     atRest = setTimeout(() => {
       atRest = 0;
-      state.fewer = Math.max(state.fewer / 2, 1); // the next time, one more is tried
+      state.fewer = Math.max(state.fewer / 2, 1); // the next time, more pixels are tried
       ask();
     }, 250);
     ask();
   }
 
-  /** Pixels along a side: fewer while the picture moves and three frames in turn were slow. If this
+  /** Pixels along a side: fewer while the picture moves and three in a row were slow. If this
    *  script was quick and they were very slow, WebGL has no graphics card, and the canvas path is
    *  faster. `interval` is the time since the last frame, or 0. */
   function pixels(interval) {
@@ -163,7 +163,7 @@
     return Math.max(Math.round(all / state.fewer), Math.min(all, 64));
   }
 
-  /** Writes a text where it is another one, so that it is not read aloud with every picture. */
+  /** Writes a text only if it has changed, so that it is not read aloud with every picture. */
   function tell(id, text) {
     if ($(id).textContent !== text) $(id).textContent = text;
   }
@@ -187,7 +187,7 @@
     return glass ? "canvas path" : "no WebGL: canvas path";
   }
 
-  /** Colours of the anchors' bits in the place of those of the scene. */
+  /** Colours of the anchors' bits in place of those of the scene. */
   function bitColors({ gaussians, splats }) {
     const { k } = state.model.header;
     const color = new Float64Array(3 * splats.alpha.length);
@@ -286,7 +286,7 @@
   const holds = (name) => $(`holds-${name}`).textContent;
 
   function drawStrip() {
-    $("section-says").textContent = ""; // its bytes may be others now
+    $("section-says").textContent = ""; // its bytes may have changed
     const sizes = Object.entries(withContainer((state.changed ?? state.model).bytes));
     const { header } = state.model;
     $("file-says").replaceChildren(
@@ -428,8 +428,8 @@
     $("bell").replaceChildren(...explain.bell(now, { middle: mu, reach }));
   }
 
-  /** The pictures and tables of the selected anchor, where the camera or the time are others than
-   *  before. They are of the file, not of the requantised one. */
+  /** The pictures and tables of the selected anchor, if the camera or the time has changed. They
+   *  show the file, not the requantised one. */
   function explainAnchor() {
     const { frame, selected, model } = state;
     if (selected === null || !frame || state.explained === frame) return;
@@ -500,9 +500,9 @@
       worker.postMessage(data);
     });
 
-  /** Says in one line why a file is not shown. The scene before it stays. */
+  /** Says in one line why a file is not shown. The previous scene stays. */
   function refuse(name, said) {
-    const stays = state.model ? ` The previous scene, ${state.name}, stays.` : "";
+    const stays = state.model ? ` The previous scene, ${state.name}, is still shown.` : "";
     $("message").replaceChildren(element("bdi", {}, name), `: ${said}.${stays}`);
   }
 
@@ -537,7 +537,7 @@
     document.dispatchEvent(new Event("opened"));
   }
 
-  let request = 0; // files so far; the last one that is asked for is shown, whichever ends last
+  let request = 0; // files so far; the last one requested is shown, whichever is decoded last
 
   /** Shows a file, whose bytes `read` promises. */
   async function open(name, read) {

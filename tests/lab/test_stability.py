@@ -40,9 +40,9 @@ def test_rows_are_as_scripts_expect(rows):
     assert all(wanted <= set(row) for row in rows)
     assert all(row["error"] >= 0 and row["bound"] <= 1e-3 for row in rows)
     text = stability.to_text(rows)
-    assert text.splitlines()[0] == f"{len(rows)} rows, 0 beyond their bounds"
+    assert text.splitlines()[0] == f"0 of {len(rows)} rows are beyond their error bounds"
     worst = stability.to_text(rows, every=False).splitlines()
-    assert len(worst) == 3 + len({row["equation"] for row in rows})
+    assert len(worst) == 5 + len({row["equation"] for row in rows})
     assert "H-R1.9sigma" in text
 
 

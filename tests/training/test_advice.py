@@ -262,7 +262,7 @@ def odd():
 @pytest.mark.parametrize("work", few([p4.train, p4.main_job], 1))
 def test_training_warns_before_and_after(work, tmp_path):
     told = messages(work, odd(), "smoke", folder=tmp_path, stage_ends=(1, 2, 3, 4))
-    overfitted = [line for line in told if "knows the pictures better" in line]
+    overfitted = [line for line in told if "has learned the training" in line]
     assert len(overfitted) == (work is p4.main_job)
     check_told([line for line in told if line not in overfitted])
 

@@ -96,7 +96,7 @@ def by_question(rows):
 
 
 def comparison(row, group):
-    """Return how fast a row is beside the first of its group, as text."""
+    """Return the speed of a row compared with the first of its group, as text."""
     times = {r["choice"]: times_of(r) for r in group}
     one, (name, other) = times[row["choice"]], next(iter(times.items()))
     if not differ(one, other):
@@ -128,13 +128,13 @@ def duration(ms, *quartiles):
 
 
 def disturbance_note(rows):
-    """Return a sentence if other programs disturbed what was timed, else nothing."""
+    """Return a sentence if other programs disturbed the timing, else nothing."""
     return disturbance(max(row["stretch"] for row in rows))
 
 
 def to_text(rows):
     """Return the table: for every choice its time, what it saves and what it loses."""
-    cells = [["question", "choice", "time", "it is", "what is lost"]]
+    cells = [["question", "choice", "time", "speed", "what is lost"]]
     for question, group in by_question(rows).items():
         for row in group:
             compared = lost = "-"
@@ -142,5 +142,8 @@ def to_text(rows):
                 lost = loss_of(row) if row["loss"] else "nothing"
                 compared = "-" if row is group[0] else comparison(row, group)
             cells.append([question, row["choice"], duration(*times_of(row)[:3]), compared, lost])
-    end = "Times are processor times: the median and, in brackets, both quartiles."
+    end = (
+        "Times are processor times: the median and, in brackets, both quartiles. Random "
+        "bins, drawn from the whole domain of Eq. (11), are wrong if their bits are off by a tenth."
+    )
     return "\n".join([*align(cells), "", end, *filter(None, [disturbance_note(rows)])])

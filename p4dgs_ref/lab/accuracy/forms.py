@@ -1,4 +1,4 @@
-"""A function in cheaper forms: what `p4dgs-ref accuracy` times, and how wrong each form is.
+"""Functions in cheaper forms: what `p4dgs-ref accuracy` times, and how wrong each form is.
 
 Each function below takes a trained model and views, and returns {choice: (run, loss)}: `run()`
 computes one form on what the model draws or codes and is timed, `loss(result)` says by how much its
@@ -21,7 +21,7 @@ from . import formulas
 GREY_LEVELS = 255
 # Limits of distances and of widths in sigmas: the declared domain of Eq. (11).
 DOMAIN = (1e-2, 1e3), (1e-12, 1e6)
-WRONG = 0.1  # relative error of the bits from which on they count as wrong
+WRONG = 0.1  # bits with a larger relative error count as wrong
 
 
 # --- rendering -----------------------------------------------------------------------------------
@@ -47,7 +47,7 @@ def image_of(renderer, settings, scene):
 
 
 def renderer(model, views):
-    """Return the loop over splats, its exact twin, the fast renderer, and it as 3DGS's kernel."""
+    """Return the loop over splats, its exact twin, the fast renderer, and that as 3DGS's kernel."""
     frames = [splats_in(model, view) for view in views]
     draw = {
         "loop": partial(image_of, loop, EXACT),
@@ -124,9 +124,9 @@ def eq_11(model, views):
 
 
 def noise_draws(model, views):
-    """Return the rate by some draws of the noise; the loss is against its mean, in % of the bits.
+    """Return the rate from some draws of the noise, to be compared with its mean over the noise.
 
-    The loss is the standard error of the sum of all bits.
+    The loss is the standard error of the sum of all bits, in % of it.
     """
     values, mu, sigma, q = coded(model)
 

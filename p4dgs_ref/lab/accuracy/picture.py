@@ -7,9 +7,9 @@ import numpy as np
 from ...report.figures import BLUE, RED, figure_style, save_figure, subplots
 from . import QUESTIONS, STEP, by_question, comparison, disturbance_note, duration, loss_of
 
-NOTE = "Down is more accurate, left is faster; bar: quartiles. Star: what this project uses."
+NOTE = "Lower is more accurate, left is faster; bars: quartiles. Star: what this project uses."
 STYLE = {"font.size": 10.5, "axes.titlesize": 11, "axes.titleweight": "bold", "figure.dpi": 200}
-LEFT = ("exact", "fast", "as printed")  # choices with a label to the left: another one is near
+LEFT = ("exact", "fast", "as printed")  # labels to the left, because another choice is near
 
 
 def draw_panel(ax, rows):

@@ -1,7 +1,7 @@
-"""Grades a classroom: each equation in a process of its own, with points for every right part.
+"""Grades a classroom: each equation in its own process, with points for each right part.
 
-Points come from held-back inputs: the published cases of an equation, changed by a seed. What is
-said about a wrong answer comes from the published cases, in the words of the tutorials' exercises.
+Points come from held-back inputs: the published cases of an equation, changed by a seed. Comments
+on wrong answers come from the published cases, in the words of the tutorials' exercises.
 
 The grades of a class are a dictionary with the seed, the students, who have a row for every
 equation, and the pairs of students whose files are alike.
@@ -25,8 +25,8 @@ NOT_BEGUN = "not begun"
 POINTS = 10  # of an equation, divided among the parts that it has in these shares:
 SHARES = {"forward": 3, "gradients": 3, "hard cases": 4}
 ROLES = {"forward": "out.", "backward": "in_bar."}
-# Cases with these flags or names would lose their point if numbers changed. Their inputs stay, with
-# other cotangents.
+# Cases with these flags or names would lose their purpose if numbers changed. Their inputs stay;
+# their cotangents are new.
 FLAGS_OF_KEPT_INPUTS = {
     *("kink", "tie", "clamped", "outside", "order", "extreme", "tail", "narrow", "wide"),
     *("behind", "normalise", "identical", "H-P7.identical"),
@@ -34,11 +34,11 @@ FLAGS_OF_KEPT_INPUTS = {
 
 
 def grade(*folders, classroom=None, seed=None, progress=lambda text: None):
-    """Grade what students handed in, all by the same inputs, and compare their files.
+    """Grade what students handed in, all on the same inputs, and compare their files.
 
-    A folder contains a student's files, or a folder `student` with them, as a classroom does.
-    `classroom` is the one whose equations are asked for; the default is the first folder. `seed`
-    determines the inputs; without it one is drawn. Nothing is written. Raises StudyError.
+    A folder contains a student's files, or a folder `student` with them, as a classroom does. The
+    equations of `classroom` are graded; the default is the first folder. `seed` determines the
+    inputs; the default is a random one. Nothing is written. Raises StudyError.
     """
     keys = keys_of(folders[0] if classroom is None else classroom)
     places = {str(folder): files_of(folder) for folder in folders}
@@ -70,10 +70,8 @@ def source_in(folder, key):
 def row_of(key, files, source, says, seed, minute):
     """Return the row of one equation; `says` is why its file is not graded, if it is not.
 
-    `minute` is what is left of the time for all answers of the student.
-
-    In the row, `says` is the reason why points are missing. `unusual` are names that no equation
-    needs; they cost no points.
+    `minute` is the time left for all answers of the student. In the row, `says` is the reason why
+    points are missing, and `unusual` lists names that no equation needs; they cost no points.
     """
     parts, points = {}, 0.0
     if not says:
@@ -94,7 +92,7 @@ def row_of(key, files, source, says, seed, minute):
 
 
 def marks(key, student, cases):
-    """Return {part: (right, asked)}: how many outputs and gradients of all cases are right."""
+    """Return {part: (right, asked)}: how many outputs and gradients in all cases are right."""
     right = {part: [] for part in SHARES}
     for case in cases:
         wrong = set().union(*(wrong_in(case, student, part) for part in parts_of(key)))
@@ -117,14 +115,14 @@ def wrong_in(case, student, part):
 def reason(key, student):
     """Return what is wrong on the published cases, once for the forward and once for the backward.
 
-    A backward that only fails as the forward does is not mentioned.
+    A backward that fails just as the forward does is not mentioned.
     """
     parts = {}  # {message: part}
     for part in parts_of(key):
         message, _ = problem(exercise_cases(key), student.part(part), (ROLES[part],))
         parts.setdefault(message, part)
     lines = [f"{part}: {message}" for message, part in parts.items() if message]
-    return "\n".join(lines) or "right on the published cases, wrong on inputs that are held back"
+    return "\n".join(lines) or "right on the published cases, wrong on held-back inputs"
 
 
 # --- inputs that are held back -------------------------------------------------------------------
@@ -135,9 +133,9 @@ def is_ordinary(case):
 
 @cache
 def cases(key, seed):
-    """Return the held-back cases of an equation: three for every ordinary published case, else one.
+    """Return held-back cases of an equation: three per ordinary published case, one per other case.
 
-    They have the form of published cases, and are drawn once for all students of a seed.
+    They have the form of published cases and are drawn once for all students of a seed.
     """
     return [
         random_case(case, f"{case.id}#{i + 1}", seed)
@@ -147,7 +145,7 @@ def cases(key, seed):
 
 
 def random_case(case, id, seed):
-    """Return a case with changed inputs, new cotangents and the reference's answers to them."""
+    """Return a case with changed inputs, new cotangents and the reference's answers."""
     eq, inputs = EQUATIONS[case.equation], case.inputs()
     rng = np.random.default_rng([seed, *id.encode()])
     if not FLAGS_OF_KEPT_INPUTS & {case.name, *case.record["flags"]}:
@@ -168,7 +166,7 @@ def random_case(case, id, seed):
 def scale_rows(a, rng):
     """Return an array whose rows are multiplied by random numbers; unit vectors stay.
 
-    Factors from 0.8 to 1 preserve signs, zeros and upper bounds on magnitudes; one for a whole row
+    Factors from 0.8 to 1 preserve signs, zeros and upper bounds on magnitudes; one factor per row
     leaves covariances symmetric and conics positive definite.
     """
     lengths = np.linalg.norm(a, axis=-1) if a.shape[-1:] in ((3,), (4,)) else 0
@@ -200,17 +198,17 @@ def cell(text):
 
 
 def to_text(grades):
-    """Return the sums of all students as a table, who are alike, and then the details of each."""
+    """Return a table of the students' sums, the pairs that are alike, and the details of each."""
     names = ("student", "points", "of", "alike", "seed", "unusual")
     lines = text_table({name: f"{{{name}}}" for name in names}, rows_of(grades))
     alike = [f"    {' and '.join(p['students'])}: {', '.join(p['keys'])}" for p in grades["alike"]]
     if alike:
-        lines += ["", "alike, which alone does not prove that anybody copied:", *alike]
+        lines += ["", "alike, which alone does not prove copying:", *alike]
     return "\n\n".join(["\n".join(lines), *map(details, grades["students"])])
 
 
 def details(student):
-    """Return the points of a student by equation, with what is wrong."""
+    """Return the points of a student for each equation, and what is wrong."""
     lines, rows = [student["student"]], student["equations"]
     left = [row["key"] for row in rows if row["says"] == NOT_BEGUN]
     if left:

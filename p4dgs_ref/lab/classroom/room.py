@@ -16,17 +16,17 @@ from ...output import staged_folder
 from ...splatting.table import EQUATIONS
 from .. import StudyError, entry
 
-MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest of the key has 6,000
+MAX_STUDENT_BYTES = 200_000  # of a file that is handed in; the longest in the key has 6,000
 
 
 def hand_out(folder, only=None):
     """Write the files of equations to student/ and key/, and a README.md for each reader.
 
-    `only` lists the equations; without it all are written. If the folder is a classroom already,
-    equations are added, and the files of the students stay.
+    `only` lists the equations; without it all are written. If the folder is already a classroom,
+    equations are added and the students' files stay.
 
-    Returns {"output", "equations": keys written, "functions": how many have to be written, "kept":
-    keys left as they were}. Raises StudyError or OutputError.
+    Returns {"output", "equations": keys written, "functions": how many students have to write,
+    "kept": keys left as they were}. Raises StudyError or OutputError.
     """
     folder = Path(folder)
     for key in only or ():
@@ -59,12 +59,12 @@ def files_of(folder):
     """Return the folder with a student's files: the folder itself, or `student` inside it."""
     folder = Path(folder)
     if not folder.is_dir():
-        raise StudyError(f"{folder}: expected a classroom, or the folder of a student's files")
+        raise StudyError(f"{folder}: not a folder; expected a classroom or a student's folder")
     return folder / "student" if (folder / "student").is_dir() else folder
 
 
 def keys_of(folder):
-    """Return the equations that students find in a classroom. Raises StudyError."""
+    """Return the keys of the equations in a classroom. Raises StudyError."""
     files = files_of(folder)
     keys = [key for key in EQUATIONS if (files / f"{key}.py").is_file()]
     if not keys:
@@ -78,8 +78,8 @@ def keys_of(folder):
 def text_of(path):
     """Return the text of a student's file, decoded as Python decodes it.
 
-    Raises StudyError for a pipe, a device, a link to one, or a file that is too large, OSError if
-    it cannot be read, and SyntaxError or UnicodeDecodeError if it is not in its encoding.
+    Raises StudyError for a pipe, a device, a link to one, or a file that is too large; OSError if
+    it cannot be read; and SyntaxError or UnicodeDecodeError if it does not match its encoding.
     """
     if path.exists() and not (path.is_file() and path.stat().st_size <= MAX_STUDENT_BYTES):
         raise StudyError(f"expected a regular file of at most {MAX_STUDENT_BYTES:,} bytes")
@@ -94,18 +94,18 @@ def source_of(key):
 
 
 def parts_of(key):
-    """Return what is graded of an equation: forward, and backward if it has gradients."""
+    """Return the graded parts of an equation: forward, and backward if it has gradients."""
     return ("forward", "backward") if EQUATIONS[key].gradients else ("forward",)
 
 
 def functions_of(key):
-    """Return {name: syntax tree} of the functions that students write: all that are needed."""
+    """Return {name: syntax tree} of the functions that students write."""
     nodes = [node for node in ast.parse(source_of(key)).body if isinstance(node, ast.FunctionDef)]
     return {n.name: n for n in nodes if n.name != "backward" or n.name in parts_of(key)}
 
 
 def stub(key):
-    """Return the file that students get: of the bodies of its functions only docstrings stay."""
+    """Return the file that students get: its functions keep only their docstrings."""
     lines, title = source_of(key).splitlines(keepends=True), name_of(key)
     # From the last function to the first, so that the line numbers stay valid.
     for name, node in reversed(functions_of(key).items()):
@@ -116,51 +116,51 @@ def stub(key):
     return "".join(lines)
 
 
-# --- what both readers are told -------------------------------------------------------------------
+# --- the pages for students and teachers ----------------------------------------------------------
 STUDENT = """# Equations to write
 
-Each file in this folder is one equation of the paper P-4DGS from which the bodies of the functions
-have been removed. The docstring at the top contains the formula, and the comments beside the
-arguments give their shapes and units. Derive the backward on paper, then write the bodies in place
+Each file in this folder is one equation of the paper P-4DGS, with the bodies of its functions
+removed. The docstring at the top contains the formula, and the comments beside the arguments give
+their shapes and units. Derive the backward on paper, then write the bodies in place
 of `raise NotImplementedError(...)`. Functions other than `forward` and `backward` are helpers of
 these two; write them or delete them. Import NumPy or SciPy if you need them. The table below names
 the tutorial that explains each equation.
 
 - `forward` returns a pair: the output (a tuple if there are several) and a tuple `saved` with
   everything that `backward` needs.
-- `backward` gets what your `forward` saves, so write `forward` first. It returns a dictionary from
-  input names to gradients.
+- `backward` gets what your `forward` saves, so write `forward` first. It returns a dictionary that
+  maps input names to gradients.
 - `p4dgs-ref grade DIR`, where DIR is this folder, prints your points on inputs that are new in
-  every run; run it again after every change. Your teacher will use other inputs.
+  every run; run it after every change. Your teacher will use other inputs.
 - In Python, `eq = classroom.load("DIR/offsets.py")` with `from p4dgs_ref.lab import classroom`
   loads the equation from your file. `eq.forward` and `eq.backward` are your functions, and
   `outputs, pullback = eq.vjp(**inputs)` calls them by name.
-- Hand in this folder. Each file is a regular file of at most 200,000 bytes, in UTF-8 or in the
-  encoding that it declares.
+- Hand in this folder. Each file must be a regular file of at most 200,000 bytes, in UTF-8 or in
+  the encoding that it declares.
 
 ## How it is graded
 
-10 points an equation: 3 for the forward on ordinary inputs, 3 for the gradients, and 4 for the hard
-cases (zeros, kinks, ties, tails, clamps and others). If there is no gradient, the other parts share
-all points. Each part counts by its share of right outputs and gradients. A formula that is right on
-paper but has too few digits in float64 loses most of the hard cases.
+Each equation gives 10 points: 3 for the forward on ordinary inputs, 3 for the gradients, and 4 for
+the hard cases (zeros, kinks, ties, tails, clamps and others). If there is no gradient, the other
+parts share all points. You get the share of a part's points that equals its share of right outputs
+and gradients. A formula that is right on paper but has too few digits in float64 loses most of the
+hard cases.
 
 - The inputs depend on a seed. They are those of the published test cases, changed at random where
-  that does not defeat the purpose of the case. The cotangents are random.
-  An answer is right if it agrees with the reference within the same bounds as for the published
-  vectors. What is said about a wrong answer comes from the published cases, as in the tutorials.
+  that does not defeat the purpose of the case. The cotangents are random. An answer is right if it
+  agrees with the reference within the bounds of the published vectors. Comments on a wrong answer
+  come from the published cases, as in the tutorials.
 - Each equation is graded alone. Whatever your file imports from `p4dgs_ref` is the reference's
   code, not yours: `opacity.py`, for example, uses the reference's networks, and `hash_grid.py` its
-  nodes. Only the modules that the file imported originally, and those that they use, can be
-  imported from `p4dgs_ref`.
-- Functions receive float64 and must return numbers of float64, or integers where the equation says
-  so, in arrays or nested lists. Another type gets no points, and neither do masked elements or a
-  function that writes into its arguments. Printed text is ignored.
+  nodes. From `p4dgs_ref` you can import only the modules that the original file imports, and those
+  that they use.
+- Functions receive float64 and must return float64, or integers where the equation says so, in
+  arrays or nested lists. Other types get no points, and neither do masked arrays or functions that
+  write into their arguments. Printed text is ignored.
 - A function that runs for more than 5 seconds on one input is stopped. All answers from your files
   together have one minute; when little of it is left, an answer gets a tenth of the rest.
-- Your teacher is told which files of two students are alike, which are like the package's own, and
-  which use names that no equation needs, such as `open`, `exec` or `sys`. That takes no points
-  away.
+- Your teacher is told which files of two students are alike, which resemble the package's own, and
+  which use names that no equation needs, such as `open`, `exec` or `sys`. This costs no points.
 
 ## The equations
 
@@ -170,46 +170,45 @@ paper but has too few digits in float64 loses most of the hard cases.
 
 TEACHER = """# For the teacher
 
-- Hand out `student/`, the equations with bodies removed and a page with the rules. Students hand
-  in the same folder. Keep `key/`, the complete files.
-- Collect what students hand in as one folder a student, such as `hand_in/anna`, which is her
-  `student/` renamed or contains it. `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades
-  all of them by the same inputs, asks for the equations of COURSE, which is this folder (without
-  it, those of the first student), and writes one table: `grades.csv` with a line for each student;
-  `grades.txt` has the details, too.
-- The inputs depend on a seed. Without `--seed` one is drawn at grading time and printed, so that
-  the same points can be had again after an appeal. If you choose a seed, keep it to yourself until
+- Hand out `student/`: the equations without bodies, and a page with the rules. Students hand in the
+  same folder. Keep `key/`, the complete files.
+- Collect one folder per student, such as `hand_in/anna`, which is her `student/` renamed, or
+  contains it. `p4dgs-ref grade hand_in/* --classroom COURSE -o marks` grades all of them on the
+  same inputs. COURSE is this folder, whose equations are graded (without it, those of the first
+  student). The table `grades.csv` has a line for each student; `grades.txt` also has the details.
+- The inputs depend on a seed. Without `--seed` a random one is chosen at grading time and printed,
+  so that grading can be repeated after an appeal. If you choose a seed, keep it to yourself until
   everybody has handed in: with it and the installed package a student has the answers.
-- The points come from these inputs. What is said about a wrong answer comes from the published
-  cases, which everybody has, so no report gives the expected values away.
-- Files of students are run on your machine, each in a process of its own with a time limit, with
-  your rights and without any other protection. Use an account or a container that they may break.
+- The points come from these inputs. Comments on a wrong answer come from the published cases, which
+  everybody has, so no report gives the expected values away.
+- Students' files run on your machine, each in its own process with a time limit, but with your
+  rights and no other protection. Use an account or a container that they may break.
 
 ## What you should look at
 
 While a file is graded, its process cannot import the equation that it should compute, nor anything
-else of `p4dgs_ref` that the original file does not import. Nothing below takes points away: that is
-for you to decide.
+else from `p4dgs_ref` that the original file does not import. Nothing below costs points; you
+decide.
 
-**Files that are alike** are listed in pairs, those of two students and those like the key: their
-texts are equal, or four fifths of the statements of one are in the other, whatever their names,
-comments, docstrings and layout are. This proves nothing by itself: both may have worked together,
-or started from the same solution of a tutorial. **Short equations** are written by everybody in the
-same way: `offsets`, `view`, `opacity`, `color`, `rotation`, `scale`, `noise`, `step`, `total_loss`,
+**Files that are alike** are listed in pairs, of two students or of a student and the key: their
+texts are equal, or four fifths of the statements of one are in the other, apart from names,
+comments, docstrings and layout. This proves nothing by itself: both may have worked together, or
+started from the same solution of a tutorial. **Short equations** look alike whoever writes them:
+`offsets`, `view`, `opacity`, `color`, `rotation`, `scale`, `noise`, `step`, `total_loss`,
 `rate_loss`. They are listed only where the whole text is equal.
 
-**Names that no equation needs**, such as `exec`, `open`, `sys`, `os`, `gc` or `inspect`, have a
-column of their own, *unusual*. A variable may have such a name.
+**Names that no equation needs**, such as `exec`, `open`, `sys`, `os`, `gc` or `inspect`, are listed
+in the column *unusual*. A variable may have such a name.
 
 This keeps honest students honest. It does not stop a student who is determined to cheat:
 
-- A copy of which more was changed is not noticed.
-- A file can open the installed package as a text and run it, undo the lock on imports, start a
-  process of its own or look into the memory of the one that it runs in. It then gets full
-  points. The column *unusual* shows the plain forms of this; a name that is put together while the
-  file runs shows only when you read the file.
-- Solutions of the tutorials, ports on the web, answers of earlier years and those of language
-  models are not compared.
+- A copy that was changed more than that is not noticed.
+- A file can read the installed package as text and run it, undo the lock on imports, start a
+  process, or inspect the memory of the process in which it runs. It then gets full points. The
+  column *unusual* shows the plain forms of this; a name that is assembled while the file runs shows
+  only when you read the file.
+- Solutions of the tutorials, ports on the web, answers from earlier years and from language models
+  are not compared.
 
-Read a file of which you are in doubt, or let its author explain a line of it.
+Read a file that you doubt, or ask its author to explain a line of it.
 """

@@ -1,7 +1,7 @@
 """What a teacher should look at: files that are alike, and names that no equation needs.
 
 Two files of an equation are alike if their texts are equal, or if most statements of one are in the
-other, without names, comments, docstrings and layout. Short equations are alike by chance.
+other, apart from names, comments, docstrings and layout. Short equations are alike by chance.
 """
 
 import ast
@@ -11,8 +11,8 @@ from itertools import combinations
 
 from .room import source_of, stub
 
-ALIKE = 0.8  # of the text that was written; where tutorials compute the same, it is below 0.4
-MIN_CHARACTERS = 200  # that are in both; names count as one
+ALIKE = 0.8  # of the written text; below 0.4 for tutorials that compute the same
+MIN_CHARACTERS = 200  # in both; a name counts as one
 UNUSUAL = {
     *("__builtins__", "__globals__", "__import__", "__subclasses__", "__traceback__", "_getframe"),
     *("builtins", "compile", "ctypes", "eval", "exec", "f_back", "f_globals", "f_locals"),
@@ -25,8 +25,8 @@ UNUSUAL = {
 def pairs(works):
     """Return the pairs that are alike, {"students": [one, other], "keys": their equations}.
 
-    `works` is [(student, {key: source})]; sources that were not begun are "". Everybody is compared
-    with the key, too.
+    `works` is [(student, {key: source})]; sources that were not begun are "". Everybody is also
+    compared with the key.
     """
     solved = ("the key", {key: source_of(key) for _, sources in works for key in sources})
     found = [
@@ -47,8 +47,8 @@ def are_alike(key, one, other):
 def statements(source):
     """Return the statements of all functions in a file, a set.
 
-    A statement has "_" in place of names, those of attributes excepted. Docstrings and assignments
-    of constants are left out.
+    A statement has "_" in place of names, except those of attributes. Docstrings and assignments of
+    constants are left out.
     """
     return {
         re.sub(r"(?<![.\w])[A-Za-z_]\w*", "_", ast.unparse(node).partition("\n")[0])

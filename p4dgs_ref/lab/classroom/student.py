@@ -1,7 +1,7 @@
 """The guarded process that answers with a student's file.
 
 It speaks the protocol of `oracle.adapter`, whose limits of bytes hold. It cannot import the
-equation that the file should compute. The field `subject` of a request says what is asked:
+equation that the file should compute. The field `subject` of a request names the part:
 `forward` or `backward`.
 
 An answer may take CASE_SECONDS, and all answers of a student together STUDENT_SECONDS. When little
@@ -50,7 +50,7 @@ main(sys.argv[1])
 
 # --- the process, from outside --------------------------------------------------------------------
 class Student(Adapter):
-    """The process with one student's file; `minute` is shared by all files of the student."""
+    """The process of one student's file; `minute` is shared by all files of the student."""
 
     def __init__(self, path, minute):
         self.minute = minute
@@ -73,7 +73,7 @@ class Student(Adapter):
 
 
 class Minute:
-    """The seconds that are left for the answers of a student."""
+    """The seconds left for the answers of a student."""
 
     def __init__(self):
         self.left = STUDENT_SECONDS
@@ -91,9 +91,9 @@ class Lock:
 
 
 def lock(key):
-    """Let only those modules of the project be imported that an equation imports.
+    """Allow only imports of the modules of the project that an equation imports.
 
-    The equation itself cannot.
+    The equation itself cannot be imported.
     """
     for name in [name for name in sys.modules if name.startswith("p4dgs_ref")]:
         del sys.modules[name]
@@ -130,7 +130,7 @@ def watch(parent):
 
 
 def main(path):
-    """Answer requests from stdin until it ends. Everything else that is printed goes to stderr."""
+    """Answer requests from stdin until it ends. Whatever else is printed goes to stderr."""
     parent = os.getppid()
     threading.Thread(target=watch, args=[parent], daemon=True).start()
     lock(Path(path).stem)
@@ -165,7 +165,7 @@ def answer(eq, request):
     def pair(inputs):
         pair = eq.forward(**inputs)
         if not isinstance(pair, tuple) or len(pair) != 2:
-            raise WrongForm("expected a pair, the output and what backward needs")
+            raise WrongForm("expected a pair: the output, and what backward needs")
         return pair
 
     def forward(**inputs):

@@ -1,10 +1,10 @@
-"""Hard cases: inputs for which a correct formula returns wrong numbers, and what ours returns.
+"""Hard cases: inputs for which a formula that is right on paper fails, and what ours returns.
 
-Two things show them. A table has the result of the literal formula, ours, the true value, errors
-and a verdict for each case. The stability map shows the error of formulas for Eq. (11) over the
-distance, above and below the mean, and the bin width.
+A table has the result of the literal formula, ours, the true value, errors and a verdict for each
+case. The stability map shows the error of formulas for Eq. (11) over the distance, above and below
+the mean, and the bin width.
 
-Inputs, cotangents and true values are those of the published vectors, if a case has the same id.
+Inputs, cotangents and true values are those of the published vector with the same id.
 `hard_cases.json` adds one line per case:
 
     id          "H-R1.6sigma": the group H-R1, then which of its inputs
@@ -160,20 +160,24 @@ def relative(got, want, each):
 
 
 def to_text(rows, every=True):
-    """Return the verdict as text, the rows that fail, and a table of every row.
+    """Return the verdict as text, the rows that fail, a table of every row, and what it shows.
 
-    Unless `every`, the table has one row of each equation: that with the largest error.
+    Unless `every`, the table has one row per equation: the one with the largest error.
     """
     failed = [f"  {row['id']} {row['dtype']}" for row in rows if row["verdict"] == "fails"]
-    head = f"{len(rows)} rows, {len(failed)} beyond their bounds"
+    head = f"{len(failed)} of {len(rows)} rows are beyond their error bounds"
     if not every:
         rows = [
             max(group, key=lambda row: float(row["error"]))
             for group in group_rows(rows, "equation").values()
         ]
-        head += "; below, the worst row of each equation (--all prints all)"
+        head += "; below, the worst row of each equation (--all prints every row)"
     shown = [{name: as_text(name, value) for name, value in row.items()} for row in rows]
-    return "\n".join([head, *failed, "", *text_table(COLUMNS, shown)])
+    end = (
+        "literal: the printed formula or the usual shortcut; error, gradient: largest relative "
+        "errors of our outputs and gradients"
+    )
+    return "\n".join([head, *failed, "", *text_table(COLUMNS, shown), "", end])
 
 
 def as_text(name, value):
@@ -208,7 +212,7 @@ def maps(named):
 
 
 def draw_maps(figure, axes, errors, location="right"):
-    """Draw `maps` into axes; infinite is red. All share a bar of colours."""
+    """Draw `maps` into axes; infinite is red. All share one colour bar."""
     from matplotlib import colormaps
 
     distances, widths = plane()

@@ -285,7 +285,7 @@ def test_a_file_that_is_right_for_published_inputs_alone_is_wrong(room):
     body = RIGHT + f"known = np.abs(x_a).sum() in {sorted(map(float, sums))}\n"
     row = graded(room, body + "return x if known else 0 * x, (O_a, l_a)")
     assert row["parts"]["forward"] == "0 of 3"
-    assert row["says"] == "right on the published cases, wrong on inputs that are held back"
+    assert row["says"] == "right on the published cases, wrong on held-back inputs"
 
 
 # --- files that are alike -------------------------------------------------------------------------
