@@ -56,7 +56,7 @@ KEPT = "; if the run folder has a checkpoint, the same command with --resume con
 LOST = "; nothing is kept before the training ends"
 SAID = {  # of a command that was stopped
     "train": KEPT,
-    "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume goes on",
+    "demo": f"{LOST}; `p4dgs-ref train` keeps checkpoints, from which --resume continues",
 }
 # Commands, and the file that is there when they are at work.
 LINES = {

@@ -74,7 +74,7 @@ def test_what_is_in_the_records_is_printed_and_drawn(tmp_path, capsys):
         (tables.main, "training nowhere", "nowhere: no such folder"),
         (tables.main, "ablate bouncing --seeds -1", "--seeds: expected a whole number"),
         (equal.main, "", "required: study"),
-        (decision.main, "-o README.md", "README.md: expected a folder"),
+        (decision.main, "-o README.md", "README.md: expected a writable"),
     ],
 )
 def test_misuse_is_one_line_and_exit_2(main, words, why, capsys):

@@ -203,7 +203,7 @@ def test_bytes_of_the_plain_gaussians(done):
 def test_a_scene_over_another_background_than_the_file_is_told_of(done):
     model = p4.decode((done[0] / "bouncing.p4dgs").read_bytes())
     black = p4.load_scene("bouncing", (0, 0, 0), downscale=4)
-    with pytest.warns(UserWarning, match="the file has the background 1 1 1, scene dark 0 0 0; "):
+    with pytest.warns(UserWarning, match="the file has background 1 1 1, scene dark has 0 0 0; "):
         p4.evaluate(model, replace(black, name="dark"))
 
 
@@ -294,7 +294,7 @@ def test_folder_is_tried_before_the_work(scene, tmp_path, monkeypatch):
         job, "fit_with_advice", lambda *args, **kwargs: pytest.fail("trained for nothing")
     )
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    with pytest.raises(OutputError, match="file.report: expected a folder"):
+    with pytest.raises(OutputError, match="file.report: expected a writable folder"):
         p4.main_job(scene, "smoke", 0, tmp_path / "file" / "report")
     with pytest.raises(OSError, match="File name too long"):
         p4.main_job(replace(scene, name="a" * 260), "smoke", 0, tmp_path / "new")
