@@ -232,7 +232,7 @@ tangents, _ = lessons.adjoint(
 # %% [markdown]
 # The next figure shows the gradients that anchors around a camera receive. A cotangent of the
 # length gives arrows of equal size along the rays (blue). A cotangent of the direction gives arrows
-# perpendicular to the rays, which get shorter with the distance (red).
+# perpendicular to the rays, which get shorter with the distance (orange).
 
 # %%
 directions = np.arange(12) * np.pi / 6
@@ -330,8 +330,8 @@ print(f"largest change of a direction {turn:.1e} degrees, of a distance {shift:.
 # %% [markdown]
 # ## What this idea buys
 # Without the view, trainings of `bouncing` need 37,188 bytes and reach 33.2 to 33.6 dB; with it
-# they need 38,698 bytes and reach 33.5 to 33.8 dB (our record of effects). These are 0.3 dB for
-# 1,500 bytes, of which 256 are the weights that read the view. It is little, because the balls of
+# they need 38,698 bytes and reach 33.5 to 33.8 dB (our record of effects). That is 0.3 dB for 1,500
+# bytes, of which 256 are the weights that read the view. The gain is small, because the balls of
 # this scene are nearly matte. The paper has no number for it. But in 3DGS a colour takes 48 of the
 # 59 numbers of a Gaussian, and these 48 are most of what the paper's Table 3 saves.
 
@@ -360,7 +360,7 @@ gains.show("02_view", here, {}, "effects")
 
 # %% [markdown]
 # ## Exercises
-# **02.1** ●● The networks shall read $\ln\delta_{vc}$ in place of $\delta_{vc}$, so that another
+# **02.1** ●● Suppose the networks read $\ln\delta_{vc}$ in place of $\delta_{vc}$, so that another
 # unit of length only shifts their input. What changes in the gradient? Give $\bar x_a$ `[2, 3]` of
 # the anchor of "By hand" and of one ten times as far from the camera in the same direction, when
 # the logarithm has the cotangent $49$.

@@ -26,8 +26,8 @@ rng = np.random.default_rng(1103)
 # %% [markdown]
 # ## What fails without it
 # Every anchor has $k$ children, whether its place needs one or four. Some children are therefore
-# superfluous, and others should be half transparent. If all of them are drawn opaque, one sees it:
-# flecks on the balls, and bright beams at the edges of the slab.
+# superfluous, and others should be half transparent. The right picture draws all of them opaque:
+# there are flecks on the balls, and bright beams at the edges of the slab.
 
 # %%
 from p4dgs_ref.scenes import simulator
@@ -303,10 +303,10 @@ print(f"the network is cheaper from {count / k:.0f} anchors on")
 
 # %% [markdown]
 # ## What this idea buys
-# Without masks, trainings of `bouncing` give 38,666 bytes instead of 38,649. This is no difference,
-# because an anchor keeps 3.8 of its four children. The paper has no number for it, but says that of
-# ten children 3 to 4 are left. Without masks, an anchor there would store some 20 useless numbers,
-# and a renderer would sort 6 or 7 useless Gaussians.
+# Without masks, trainings of `bouncing` give 38,666 bytes instead of 38,649. This difference is
+# negligible, because an anchor keeps 3.8 of its four children. The paper has no number for it, but
+# says that of ten children 3 to 4 are left. Without masks, an anchor there would store some 20
+# useless numbers, and a renderer would sort 6 or 7 useless Gaussians.
 
 # %%
 from tutorials import gains

@@ -26,8 +26,8 @@ rng = np.random.default_rng(4)
 # ## What fails without it
 # The last layer of a network can return any number. Used directly, its outputs would give colours
 # outside the range from black to white, sizes that are negative or huge, and quaternions of any
-# length: one of length 30 makes its Gaussian 900 times as long. The pictures draw the trained
-# scene, each time with one attribute as its network returns it.
+# length: one of length 30 makes its Gaussian up to 1,800 times as long. The pictures show the
+# trained scene, each time with one attribute as its network returns it.
 
 # %%
 from p4dgs_ref.equations import anchor_network, color, rotation, scale, view
@@ -117,9 +117,10 @@ turns, _ = rotation.forward(raw[None], *no_view, [np.eye(4)], [np.zeros(4)])
 assert close(turns, [[[0.2, 0.4, 0.4, 0.8]]])
 
 # %% [markdown]
-# The figure shows anchor 29 and an anchor of the green ball. The grey ellipse is the anchor's own
-# scale, without rotation. Its children have colours, rotations and scales of their own, but along
-# each of its own axes no child is larger than the anchor, because a sigmoid is at most one.
+# The figure shows anchor 29 and anchor 28, which is on the green ball. The grey ellipse is the
+# anchor's own scale, without rotation. Its children have colours, rotations and scales of their
+# own, but along each of its own axes no child is larger than the anchor, because a sigmoid is at
+# most one.
 
 # %%
 assert (gaussians.s <= anchors.s_a[parent]).all()
@@ -128,7 +129,7 @@ of_anchors = gaussians._replace(x=anchors.x_a, s=anchors.s_a, r=unturned)
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
-for ax, a, edge in zip(axes, (thread.index, tour.FAMILY), (thread.color, "k")):
+for ax, a, edge in zip(axes, (thread.index, 28), (thread.color, "k")):
     own, shape, *_ = show.splats(of_anchors, camera, [a])
     children = show.splats(gaussians, camera, parent == a)
     show.ellipses(ax, own, shape, fc="0.85", ec="0.4", ls="--", lw=2)

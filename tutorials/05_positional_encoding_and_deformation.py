@@ -450,7 +450,7 @@ gains.show(
 # **05.2** ●● Write the backward of $\mathcal{E}$ for vectors.
 #
 # **05.3** ●● Write Eq. (5) as it is printed: every row with a copy of $\mathcal{E}(t)$, a ReLU
-# after every layer before the heads, and then each head for itself.
+# after every layer before the heads, and then each head separately.
 #
 # **Predict, then run.** Times are stored in float16, and $\mathcal{E}$ has $10$ frequencies. How
 # wrong can the angle of the fastest wave be for a time between $0.5$ and $1$?

@@ -23,8 +23,8 @@ rng = np.random.default_rng(6)
 # %% [markdown]
 # ## What fails without it
 # The anchors know no time, so the Gaussians that they predict are the same in every picture of the
-# film (bottom). To store the Gaussians of each picture anew would multiply the file by the number
-# of pictures.
+# film (bottom). Storing the Gaussians of each picture anew would multiply the size of the file by
+# the number of pictures.
 
 # %%
 from p4dgs_ref.scenes import simulator

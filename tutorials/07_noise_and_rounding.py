@@ -26,10 +26,10 @@ rng = np.random.default_rng(7)
 # %% [markdown]
 # ## What fails without it
 # A file holds integers, so every number is rounded to a multiple of a step. The picture as a
-# function of such a number is then a staircase (red): flat nearly everywhere, so that no gradient
+# function of such a number is then a staircase (orange): flat nearly everywhere, so no gradient
 # says in which direction the number should go. Training without any rounding (grey) has slopes, but
 # it never learns that the file will move numbers by up to half a step. The curves move one number
-# of anchor 29, its fifth feature, and measure how far the picture of the trained scene changes.
+# of anchor 29, its fifth feature, and show how much the picture of the trained scene changes.
 #
 # The two pictures show what it costs. Both are drawn from files, whose numbers are rounded. One
 # model was trained as if they were not; the other is the demo's, which was trained with the paper's
@@ -318,7 +318,7 @@ assert np.floor(below_half + 0.5) != np.rint(below_half)
 assert np.floor(2.5 + 0.5) != np.rint(2.5)
 
 # %% [markdown]
-# Some golden cases are ties, or numbers next to ties. Five of the nine cases fail, and the checker
+# Some golden cases are ties, or numbers next to ties. Five of the ten cases fail, and the checker
 # names the mistake.
 
 

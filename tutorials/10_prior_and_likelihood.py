@@ -465,8 +465,8 @@ lessons.check_backward("10.4", my_likelihood_backward, "likelihood")
 # `p4dgs-ref oracle check DIR --only likelihood` and `--only prior` check what a port wrote; start
 # with the scalar formula, `--only gaussian_bin`. Besides the tails, the usual mistakes are natural
 # logarithms in place of bits, a density in place of a probability, which the checker names, a
-# variance in place of a standard deviation, and a network that
-# returns all means first instead of group by group.
+# variance in place of a standard deviation, and a network that returns all means first instead of
+# group by group.
 
 
 # %%

@@ -13,7 +13,7 @@ x_c = np.array([1.0, 2, 1])
 # %% [markdown]
 # **02.1** From $d\ln\delta = d\delta/\delta$, the cotangent $49$ of the logarithm is one of
 # $49/\delta$ of the distance. The gradient still points along the ray, but it now fades with the
-# distance: it is $(2, -3, 6)$ near by and a tenth of that ten times as far away. So both outputs of
+# distance: it is $(2, -3, 6)$ nearby and a tenth of that ten times as far away. So both outputs of
 # Eq. (2) would have the factor $1/\delta$, and an anchor close to the camera would get a very large
 # gradient.
 

@@ -161,7 +161,7 @@ LEGEND = (
     r"Products are entry by entry; those with $W$, $M$, $V$ and $\Sigma$ are matrix products,"
     "\n"
     r"and $a \cdot b$ is a scalar product. $[\ldots]$ is 1 where true and 0 elsewhere. "
-    r"$\Phi$ is the normal distribution and $\varphi$ its density."
+    r"$\Phi$ is the normal distribution, $\varphi$ its density; $n$ counts what is averaged."
 )
 
 
