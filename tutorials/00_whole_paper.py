@@ -21,8 +21,8 @@
 #     positions -> grid -> steps and probabilities -> bits -> L_rate        Eqs. (7) to (14), (17)
 #     L_total = L_render + lambda_rate L_rate                               Eq. (15)
 #
-# `python tutorials/00_whole_paper.py` takes 20 to 45 seconds and puts its pictures on one page;
-# with `--check` it compares gradients with finite differences instead.
+# `python tutorials/00_whole_paper.py` takes 20 to 45 seconds of an idle core and puts its pictures
+# on one page; with `--check` it compares gradients with finite differences instead.
 #
 # **How to read it.** Each equation with a gradient is a function that returns its result and its
 # own backward, `back`, which takes the gradients of the results and returns those of the trained
@@ -51,7 +51,7 @@ if SHOW:
 # ## One picture: thirty splats learn it
 # The scene, one ball that bounces and another one that circles halfway around it, is drawn by
 # tracing rays. Here its time stands still. A *splat* is a soft ellipse of pixels: a mean, a conic
-# that says how fast it fades, an opacity and a colour. Splats are painted from front to back.
+# for its shape, an opacity and a colour. Splats are painted from front to back.
 
 # %%
 SIZE = 24  # pixels along a side of a view; the picture of this section has more
@@ -77,7 +77,7 @@ def pixel_grid(size):
 def truth(R, T, t, size=SIZE):
     """Draw the balls at time t by tracing rays: the mean of 4 x 4 rays per pixel, [P, 3]."""
     X, Y = pixel_grid(4 * size)
-    rays = np.stack([X, Y, np.full_like(X, 4 * FOCAL * size)], axis=-1) @ R  # of the world
+    rays = np.stack([X, Y, np.full_like(X, 4 * FOCAL * size)], axis=-1) @ R  # in world axes
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     eye, light = -R.T @ T, np.array([0.3, 0.5, 0.81])
     angle = np.pi * t
@@ -102,8 +102,8 @@ def compositing(mean, conic, alpha, c, size=SIZE):  # silent: 3DGS has it
         alpha_i(p) = min(0.99, alpha_i exp(-(p - mean_i)^T K_i (p - mean_i) / 2))  at pixel p
         T_i = product of 1 - alpha_j(p) over j < i    transmittance: the light that is left for i
 
-    A more opaque splat shows more of its own colour and less of everything behind it, so the
-    gradient of alpha_i(p) is image_bar (T_i c_i - what is painted behind i / (1 - alpha_i(p))).
+    The conic K_i is [[K_a, K_b], [K_b, K_c]]. A larger alpha_i(p) shows more of c_i and less of the
+    rest, so its gradient is image_bar (T_i c_i - what is painted behind i / (1 - alpha_i(p))).
     """
     X, Y = (grid.reshape(-1, 1) for grid in pixel_grid(size))
     K_a, K_b, K_c = conic.T
@@ -117,7 +117,7 @@ def compositing(mean, conic, alpha, c, size=SIZE):  # silent: 3DGS has it
     def back(image_bar):
         weight_bar = image_bar @ c.T  # [P, N]
         background_bar = T_i[:, -1:] * (image_bar @ BACKGROUND)[:, None]
-        # from the back: the background, then the splats up to the one after the first
+        # from the back: the background, then the splats from the last one to the second
         from_back = np.flip(np.hstack([weight * weight_bar, background_bar])[:, 1:], axis=1)
         behind = np.flip(np.cumsum(from_back, axis=1), axis=1)  # [P, N]: the sum over j > i
         alpha_p_bar = T_i[:, :-1] * weight_bar - behind / (1 - alpha_p)
@@ -140,9 +140,9 @@ assert np.allclose(pixel - 1 / 8, [1 / 2, 1 / 4, 1 / 8])
 
 
 def flat_loss(p, image):
-    """The mean squared error of the picture that splats draw, each of nine free numbers.
+    """The mean squared error of the picture that splats of nine free numbers draw.
 
-    They are its mean, three of M = [[M_a, M_b], [0, M_c]] with the conic M^T M, opacity and colour.
+    Each has a mean, M = [[M_a, M_b], [0, M_c]] with the conic M^T M, an opacity and a colour.
     """
     (M_a, M_b, M_c), alpha, c = p["M"].T, sigmoid(p["alpha"]), sigmoid(p["c"])
     conic = np.stack([M_a * M_a, M_a * M_b, M_b * M_b + M_c * M_c], axis=1)
@@ -175,8 +175,8 @@ class Adam:
             m += 0.1 * (gradient - m)
             v += 0.001 * (gradient**2 - v)
             self.counts[name] = count = self.counts.get(name, 0) + 1  # since the array joined
-            rate = decay * RATES[name.split(".")[0]]
-            if name.startswith("psi_alpha"):
+            rate = decay * RATES[name.split(".")[0]]  # one for psi_d.0, psi_d.1 and so on
+            if name.startswith("psi_alpha"):  # a network that starts slowly: see "Training"
                 rate *= min(1, count / 50)
             p[name] -= rate * m / (1 - 0.9**count) / (np.sqrt(v / (1 - 0.999**count)) + 1e-15)
 
@@ -194,10 +194,10 @@ def fit(p, adam, loss, views, steps, rng):
             order = rng.permutation(len(views))
         L, parts, back = loss(p, views[order[i % len(views)]])
         adam.step(p, back())
-        losses.append(parts.get("render", L))
+        losses.append(parts.get("render", L))  # without the rate, if L has one
         if adam.done % (adam.total // 10) == 0:
-            bits = f"bits {parts.get('bits', 0):5.0f}"  # counted from stage 4 on
-            print(f"step {adam.done:4}: loss {np.mean(losses[-100:]):.4f}, {bits}", flush=True)
+            bits = f", bits {parts['bits']:.0f}" if "bits" in parts else ""
+            print(f"step {adam.done:4}: loss {np.mean(losses[-100:]):.4f}{bits}")
 
 
 def strip(title, images, names=None):
@@ -255,9 +255,9 @@ def projection(x, s, Q, R, T):  # silent: Q21, constants of 3DGS
     """Centres [N, 2] from the middle of the image, conics [N, 3] and depths [N] of the splats.
 
     Near a Gaussian at (x, y, z) in camera coordinates, the projection is almost linear: it is JR,
-    with J = f/z [[1, 0, -x/z], [0, 1, -y/z]] for a focal length of f pixels. The conic is the
-    inverse K of the covariance, to which 3DGS adds 0.3 I, because a smaller splat could vanish
-    between the centres of pixels.
+    with J = f/z [[1, 0, -x/z], [0, 1, -y/z]] for a focal length of f pixels. The splat therefore
+    has the covariance JR Q diag(s)^2 (JR Q)^T, to which 3DGS adds 0.3 I, because a smaller splat
+    could vanish between the centres of pixels. The conic K is its inverse.
     """
     x_cam, f = x @ R.T + T, FOCAL * SIZE
     z, uv = x_cam[:, 2:], x_cam[:, :2] / x_cam[:, 2:]
@@ -267,7 +267,7 @@ def projection(x, s, Q, R, T):  # silent: Q21, constants of 3DGS
     K = np.linalg.inv(mS @ m.transpose(0, 2, 1) + 0.3 * np.eye(2))
 
     def back(mean_bar, conic_bar):
-        K_bar = (conic_bar * [1, 0.5, 1])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        K_bar = (conic_bar * [1, 0.5, 1])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)  # K has b twice
         cov_bar = -K @ K_bar @ K  # K is symmetric, and d(K) = -K d(cov) K
         m_bar = 2 * cov_bar @ mS
         JR_bar, Q_bar = m_bar @ Q.transpose(0, 2, 1), JR.transpose(0, 2, 1) @ m_bar
@@ -302,7 +302,7 @@ def render(x, s, r, alpha, c, R, T):
 # %% [markdown]
 # ### What fails
 # Each moment has one picture, taken from a different direction. As in 3DGS, let all numbers of
-# every Gaussian be free, here 14. (3DGS has 59, of which 48 are a colour for each side.)
+# every Gaussian be free, here 14. (3DGS has 59, of which 48 give its colour from each side.)
 
 
 # %%
@@ -328,8 +328,8 @@ def normalise(y):
     return r, lambda bar: (bar - r * (r * bar).sum(axis=-1, keepdims=True)) / length
 
 
-def free(p, t, centers=None):
-    """Gaussians (x, s, r, alpha, c) of 14 free numbers: at rest, or moved by psi_d if p has it."""
+def free(p, t, centers=None):  # `check` passes centers
+    """Gaussians (x, s, r, alpha, c) of 14 free numbers, at rest until "In time" adds psi_d."""
     r, back_r = normalise(p["r"])
     x, s, alpha, c = p["x"], np.exp(p["log_s"]), sigmoid(p["alpha"]), sigmoid(p["c"])
     at_t, back_moved = (x, s, r), lambda *bars: (*bars, {})
@@ -465,7 +465,7 @@ def scale(s_a, seen, psi):  # paper, Sec. 3.2: a fraction of the anchor's scale
     return s, back
 
 
-# The n numbers of an anchor that are coded; training keeps log s and log l, so they stay positive.
+# The n numbers of an anchor that are coded; training keeps log s and log l, so both stay positive.
 WIDTHS = (d, 3, 3, 3 * k)  # numbers of an anchor in the groups f, s, l, O
 STARTS = np.cumsum((0, *WIDTHS[:3]))  # where the groups begin
 GROUP = np.repeat(range(4), WIDTHS)  # the group of each of an anchor's numbers
@@ -490,7 +490,7 @@ def network(p, name):
 
 
 def predict(x_a, values, p, x_c):
-    """Eqs. (1) to (4): the Gaussians (x, s, r, alpha, c) of all anchors, N = A k of each."""
+    """Eqs. (1) to (4): the N = A k Gaussians (x, s, r, alpha, c) of all anchors."""
     f, s_a, l, O = groups(values)
     (delta_vc, d_vc), back_view = view(x_a, x_c)
     seen = np.concatenate([f, delta_vc, d_vc], axis=1)
@@ -559,7 +559,7 @@ def named(networks):
     return {f"{name}.{i}": a for name in networks for i, a in enumerate(networks[name])}
 
 
-# Trained are five arrays of the anchors, these networks, and, for the bits, a grid and two more.
+# What is trained: five arrays of the anchors, these networks, and a grid for the bits.
 BOX = 1.3  # the file and the grid cover positions in [-BOX, BOX]^3
 RESOLUTION, F = 8, 4  # the grid of Eq. (9) has 8 x 8 x 8 nodes with F bits each
 
@@ -572,7 +572,7 @@ def layers(inputs, outputs, hidden=2 * d):
 NETWORKS = {"psi_alpha": layers(d + 4, k), "psi_c": layers(d + 4, 3 * k)}
 NETWORKS |= {"psi_r": layers(d + 4, 4 * k), "psi_s": layers(d + 4, 3 * k)}
 NETWORKS |= {"psi_d": layers(3 * (1 + 2 * L_x) + 1 + 2 * L_t, 10, hidden=48)}
-NETWORKS |= {"psi_p": layers(F, 2 * n), "psi_q": layers(F, 4)}  # the context's, last
+NETWORKS |= {"psi_p": layers(F, 2 * n), "psi_q": layers(F, 4)}  # for the bits
 WEIGHTS = {f"{name}.{i}": shape for name in NETWORKS for i, shape in enumerate(NETWORKS[name])}
 
 
@@ -612,10 +612,11 @@ if SHOW:
 # errors of rounding are spread about evenly between -q/2 and q/2. Training therefore adds such
 # noise instead of rounding: it degrades the picture in the same way, and gradients pass.
 #
-# Two networks predict the steps q, the means mu and the standard deviations sigma from a grid of
-# bits at the anchor's position. The decoder can do so, too: it reads networks, positions and grid
-# first. As psi_q starts near 0, q starts near its group's base step Q_0 (Q6). The paper's Q_0 of f,
-# s, l, O are 1, 0.001, 0.001 and 0.2. Here, finer steps of s and l cost bytes and gain nothing.
+# How likely a number is follows from a normal distribution with the mean mu and the standard
+# deviation sigma. Two networks predict these and q from a grid of bits at the anchor's position.
+# The decoder can do so, too: it reads networks, positions and grid first. As the output of psi_q
+# starts near 0, q starts near its group's base step Q_0 (Q6). The paper's Q_0 of f, s, l, O are 1,
+# 0.001, 0.001 and 0.2. Here, finer steps of s and l cost bytes and gain nothing.
 
 # %%
 Q_0 = np.array([0.25, 0.01, 0.01, 0.1])  # base steps of the groups f, s, l, O
@@ -663,7 +664,7 @@ def likelihood(f, mu, sigma, q):  # paper, Sec. 3.3: the mass of one bin
     """Eq. (11): bits = -log2(Phi((f + q/2 - mu) / sigma) - Phi((f - q/2 - mu) / sigma)).
 
     Above the mean both terms are close to 1 and lose digits, so f is mirrored to below the mean.
-    The mass is at least 1e-30, or 100 bits.
+    The mass is kept above 1e-30, so no number costs more than 100 bits.
     """
     side = np.sign(f - mu)
     upper = (q / 2 - np.abs(f - mu)) / sigma
@@ -685,8 +686,8 @@ def hash_rate(B):  # paper, Sec. 3.3: the grid costs bits, too
     """Eq. (14): N+ (-log2 p+) + N- (-log2 p-) for the signs B of the grid, p+ = N+ / (N+ + N-)."""
     N_plus = (1 + B).sum() / 2
     p_plus = np.clip(N_plus / B.size, 1e-6, 1 - 1e-6)
-    # A minus that becomes a plus changes N+, and p+ with it. But p+ is the best probability for
-    # these counts, so the rate does not change with p+ to first order. Only N+ has a slope.
+    # A minus that becomes a plus changes N+ and p+. But no p+ is better for these counts, so to
+    # first order the rate does not change with p+. Only N+ has a slope.
     slope = np.log2((1 - p_plus) / p_plus) / 2  # half of it: B changes by 2 where N+ changes by 1
     hash_bits = -N_plus * np.log2(p_plus) - (B.size - N_plus) * np.log2(1 - p_plus)
     return hash_bits, lambda bits_bar: np.full_like(B, slope * bits_bar)
@@ -701,8 +702,8 @@ assert np.isclose(likelihood(drawn, 0, 1, 0.1)[0].mean(), np.log2(expected * np.
 # %% [markdown]
 # ## The error of a picture: Eq. (16)
 # Free Gaussians were trained with the mean squared error, which hardly sees a blurred edge. The
-# paper takes the loss of 3DGS: the mean absolute error and, with a weight of 0.2, the structural
-# similarity, which compares the pattern in small windows.
+# paper takes the loss of 3DGS: the mean absolute error and, with a weight of 0.2 (Q13), the
+# structural similarity (SSIM), which compares the pattern in small windows.
 
 # %%
 LAMBDA_SSIM = 0.2
@@ -721,7 +722,7 @@ def ssim(x, y):  # silent: Q13, the window
     """The structural similarity of x to the truth y, the mean over pixels and channels.
 
     It compares local means, variances and covariances over a Gaussian window of 11 x 11 pixels,
-    with zeros outside the image. It is symmetric, so the backward of a blur is the same blur.
+    with zeros outside the image. The window is symmetric, so the backward of a blur is that blur.
     """
     C_1, C_2 = 0.01**2, 0.03**2
     mu_x, mu_y = blur(x), blur(y)
@@ -803,7 +804,7 @@ def loss(p, shot, u, stage, sign=signs, centers=None):  # paper, Sec. 3.3; silen
     if stage == 4:
         number_bits, back_bits = likelihood(noisy, mu, sigma, q[:, GROUP])
         bits = number_bits.sum() + hash_bits  # Eq. (13) is the sum, Eq. (17) adds the grid
-        # Not counted are positions and networks: their bytes in the file never change.
+        # Positions and networks are not counted, because their bytes in the file never change.
     L_rate = bits / values.size  # per number, so that LAMBDA_RATE fits any number of anchors (Q12)
 
     def back():
@@ -844,9 +845,9 @@ def coded_bits(p, values):
 
 # %% [markdown]
 # ## Checking the gradients
-# Along any direction, the gradient must give the slope of the loss. Two places differ, so the check
-# uses the grid's parameters in place of their signs, and E(x) reads x from before the nudge. Where
-# a nudge swaps two splats in depth, the loss jumps, so one of two nudges has to agree.
+# Along any direction, the gradient must give the slope of the loss. Where `loss` deliberately
+# differs, the check uses the grid's parameters in place of their signs, and E(x) reads x from
+# before the nudge. If a nudge swaps two splats in depth, the loss jumps, so one of two is enough.
 
 
 # %%
@@ -893,9 +894,8 @@ if __name__ == "__main__" and "--check" in sys.argv:
 
 # %% [markdown]
 # ## Training
-# Training uses one view per iteration. A child with alpha < 0 gets no gradient of its own, and
-# seldom comes back. Here, a bias and a slow start of psi_alpha keep the children alive; the paper
-# grows new anchors instead (Q16).
+# An iteration uses one view. A child with alpha < 0 gets no gradient of its own and seldom returns.
+# A bias and a slow start of psi_alpha keep children alive; the paper grows anchors instead (Q16).
 
 # %%
 STAGE_ENDS = (20, 40, 800, 1300)  # iterations; the paper's stages 1 and 2 take 5,000 of 40,000
@@ -903,7 +903,7 @@ RATES |= {"x_a": 0.002, "f": 0.015, "log_l": 0.014, "O": 0.02, "grid": 0.01, "ps
 RATES |= {"psi_q": 0.005, "psi_alpha": 0.001, "psi_c": 0.008, "psi_r": 0.008, "psi_s": 0.008}
 
 
-def lattice(x_a):  # paper, Sec. A.1: 16 bits an axis; silent: Q14
+def lattice(x_a):  # paper, Sec. A.1: 16 bits per axis; silent: Q14
     """Positions as 16-bit integers over the box, as in the file (Q14: frozen in stage 4)."""
     return np.rint((np.clip(x_a / BOX, -1, 1) + 1) / 2 * 65535).astype("<u2")
 
@@ -914,7 +914,7 @@ def on_lattice(integers):
 
 
 def train(views, seed=0, bits=True):  # paper, Sec. 4.1: four stages; silent: Q24
-    """Train, with noise and rate if `bits`; return p, and the first view after each stage."""
+    """Train, with noise and rate if `bits`. Return p, and views[0] before and after stages."""
     rng = np.random.default_rng(seed)
     p, adam = start(rng), Adam(STAGE_ENDS[-1])
     frames = [draw(p, attributes(p), *views[0][:3])]
@@ -944,13 +944,13 @@ if SHOW:
 # steps would help little. Without motion, anchors draw a smear, so stage 3 begins early.
 #
 # ## Bytes
-# The entropy coder counts probabilities in units of 2^-24, at least one for each symbol; `cdf` is
-# the distribution of Eq. (11) in these units. Symbol i, the integer lowest + i, owns the numbers
-# from cdf[i] to cdf[i + 1] - 1; their count is its `width`. rANS (Duda 2013) turns all symbols into
-# one large integer, `state`. To add a symbol, it divides the state by the symbol's width. The
-# quotient moves up by 24 binary digits; below it stands one of the symbol's own numbers, which the
-# remainder selects. So a symbol of probability 1/8 adds 3 bits. The decoder looks up who owns the
-# last 24 digits, and undoes the step. Both sides compute the same probabilities in the same floats.
+# The entropy coder counts probabilities in units of 2^-24, at least one for each symbol. `cdf` is
+# Eq. (11) in these units, added up from the lowest symbol. Symbol i, the integer lowest + i, owns
+# the numbers from cdf[i] to cdf[i + 1] - 1; their count is its `width`. rANS (Duda 2013) turns all
+# symbols into one large integer, `state`. To add a symbol, it divides the state by the symbol's
+# width. The quotient moves up by 24 binary digits; below it stands one of the symbol's own numbers,
+# which the remainder selects. So a symbol of probability 1/8 adds 3 bits. The decoder looks up who
+# owns the last 24 digits, and undoes the step. Both sides compute the same probabilities.
 
 # %%
 UNIT_BITS = 24  # probabilities are multiples of 2^-24
@@ -1005,7 +1005,7 @@ def encode(p):
     positive = (p["grid"] >= 0).ravel().astype(int)
     networks = np.concatenate([p[name].ravel() for name in WEIGHTS])
     parts = {
-        "networks": networks.astype("<f2").tobytes(),  # 16 bits a weight (Q18)
+        "networks": networks.astype("<f2").tobytes(),  # 16 bits per weight (Q18)
         "positions": lattice(p["x_a"]).tobytes(),
         "grid": rans_encode(positive, sign_cdfs(positive.sum())),
     }
@@ -1050,10 +1050,10 @@ def report(p, file, unseen):
     return {"before": before, "after": after, "coded": coded, "bits": bits}
 
 
-# From here on only the file is used. It draws views that were not used in training.
 if SHOW:
     file = encode(p)
     report(p, file, unseen)
+    # From here on only the file is used. It draws views that were not used in training.
     decoded, values = decode(b"".join(file.values()))
     pictures = [draw(decoded, values, R, T, t) for R, T, t, _ in unseen[::2]]
     strip("Views that were not used in training", truths, times)
@@ -1079,8 +1079,8 @@ if SHOW:
 
 # %% [markdown]
 # ## What each idea buys here, and what is left out
-# Five designs, trained with Eq. (16) for 1,300 steps with seeds 0, 1 and 2, as
-# `python -m tutorials.tools.designs` trains them again in some minutes:
+# Five designs, all trained with Eq. (16) for 1,300 steps with seeds 0, 1 and 2. What is not entropy
+# coded has 16 bits. `python -m tutorials.tools.designs` trains them again in some minutes:
 #
 # | design | dB | range | bytes without networks, range | bytes per Gaussian | all bytes |
 # |---|---|---|---|---|---|
@@ -1094,7 +1094,7 @@ if SHOW:
 # child, and 5 in the file. But free ones draw better, 80 of them as well as the file's 320. With
 # the networks they are also smaller: networks are 92 % of the file. The paper names this limit;
 # with 80 anchors it is extreme. In its Table 3, prediction takes T-Rex from 56.7 to 7.27 MB, and
-# coding from 5.39 to 0.85: beside some 220,000 Gaussians (our estimate) networks are small.
+# coding from 5.39 to 0.85, a third of it networks: D3DGS has some 220,000 Gaussians (we estimate).
 #
 # The package has what this file leaves out: masks and growing, tiles and clamps, levels, planes and
 # hashing of the grid, limits of q and sigma, and an entropy coder in integers.

@@ -231,8 +231,8 @@ assert close(large, 100 * small)
 # ## What this idea buys
 # In the paper, anchors in place of free Gaussians take T-Rex from 56.7 to 7.27 MB, 87 percent less
 # (Table 3). Here they save 85 percent of the Gaussians' bytes, too, but little of the file, as the
-# bars show: nearly 2 MB of both files are the network of Eq. (5), which moves the Gaussians. It
-# moves 800 of them here, and some 220,000 in T-Rex (inferred from its bytes). With anchors our
+# bars show: about 2 MB of both files are the network of Eq. (5), which moves the Gaussians. There
+# are up to 800 of them here, and some 220,000 in T-Rex (inferred from its bytes). With anchors our
 # pictures are also worse than with free Gaussians, as the PSNR beside the bars says; the paper's
 # are not.
 
