@@ -12,7 +12,7 @@ from ..splatting import render
 from ..splatting.settings import FAST
 from .initial import lattice_nodes
 
-FEW_VIEWS = 24  # on `bouncing`, 24 views lose 1.2 dB against 48, 16 far more (reference.md, Limits)
+FEW_VIEWS = 24  # half of a packaged scene's views; with far fewer, quality falls
 FAR = 10  # times the radius that contains nine tenths of the points
 DIFFERENCE = 0.1  # two pixels disagree if a channel differs by more
 MUCH = 0.3  # share of what cameras see that may lie outside the box of the first anchors

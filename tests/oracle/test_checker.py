@@ -308,7 +308,7 @@ def test_the_vectors_are_no_answer(exported, tmp_path, capsys):
         (["check"], "expected either a folder"),
         (["check", "no such folder"], "expected a folder"),
         (["check", "a", "--adapter", "b"], "expected either a folder"),
-        (["check", ".", "--dtype", "float32"], "apply to --adapter only"),
+        (["check", ".", "--dtype", "float32"], "expected only with --adapter"),
         (["check", ".", "--level", "L0", "--only", "offsets"], "no such case"),
         (["export", "."], "expected an empty folder"),
         (["check", ".", "--only", "ofsets"], "only ofsets: did you mean 'offsets'?"),
