@@ -109,9 +109,8 @@ assert close(behind[-1], pixel)
 # front of it leave only 5 % of the light. The purple bars are those of anchor 29: the disc is the
 # last one, and another of its Gaussians lies in front of it. Behind them, next to nothing is left
 # for the far side of the ball. The figure shows only the six splats that give more than 1 % of the
-# pixel. All others together give 3 %, which its black line does not count. [See it
-# move](viewer/demo.html#step=splatting): the viewer paints the splats one after another, and shows
-# the weights in any pixel.
+# pixel; all others together give 3 %. [See it move](viewer/demo.html#step=splatting): the viewer
+# paints the splats one after another, and shows the weights in any pixel.
 
 # %%
 gaussians, camera = without.GAUSSIANS, without.CAMERA

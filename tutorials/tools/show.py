@@ -271,14 +271,14 @@ def pixel(figure, model, camera, t, at):
     g, (x, y) = model.gaussians(t, camera), at
     order, shares, behind = front_to_back(g, camera, at)
     mixed = shares @ g.color[order] + behind * model.background
-    first, shares = order[shares > MIN_SHARE], shares[shares > MIN_SHARE]
+    left_over, seen = 100 * (1 - np.append(0, np.cumsum(shares))), shares > MIN_SHARE
+    first, shares, left_over = order[seen], shares[seen], left_over[np.append(seen, True)]
     image = 0.3 * frame(model, camera, t, 20) + 0.7
     picture(left, image, camera, xlim=(x - 8, x + 8), ylim=(y + 8, y - 8))
     ellipses(left, *splats(g, camera, first)[:2], fc="none", ec=0.8 * g.color[first], lw=4)
     left.plot(x, y, "s", ms=24, mfc=mixed, mec=ANCHOR, mew=4)
     left.set_title(f"one pixel sees {len(first)} of {len(g.x)} Gaussians")
     right.bar(np.arange(1, len(shares) + 1), 100 * shares, color=g.color[first], edgecolor=GREY)
-    left_over = 100 * (1 - np.append(0, np.cumsum(shares)))
     edges = np.arange(len(left_over) + 1) + 0.4
     right.stairs(left_over, edges, color=ANCHOR, lw=3, baseline=None)
     right.set(
