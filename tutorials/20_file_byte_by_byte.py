@@ -30,9 +30,10 @@ architecture.show("20_file_byte_by_byte", "rounding", "entropy_coder", "file")
 # A disk or a network changes a bit now and then. A file that is nothing but its numbers, one after
 # another, opens all the same and shows another scene.
 #
-# The cell flips one bit of `demo.p4dgs` at three places, and makes the checksums right again, as if
-# there were none. Nothing refuses these files. The numbers are means over the ten test views, and
-# *anchor 29*, which all tutorials follow, is purple.
+# The cell makes three copies of `demo.p4dgs`, flips one bit in each of them, and makes the
+# checksums right again, as if there were none. The decoder accepts all three. The numbers are means
+# over the ten test views, and *anchor 29*, which all tutorials follow, is purple; in the last
+# picture it is above the frame.
 
 # %%
 import p4dgs_ref as p4
@@ -54,9 +55,9 @@ def forged(sections, name, bit):
 
 
 places = {  # section and bit
-    r"a weight of $\psi_d$": ("deformation_mlp", 16 * 6671 + 14),  # which the tour changes, too
-    "a weight of an anchor network": ("anchor_mlps", 108302),
-    "a corner of the box": ("positions", 8 * 23),
+    "weight of the motion network": ("deformation_mlp", 16 * 6671 + 14),  # the one of the tour
+    "weight of a prediction network": ("anchor_mlps", 108302),
+    "corner of the bounding box": ("positions", 8 * 23),
 }
 opened = {what: p4.decode(forged(demo, name, bit)) for what, (name, bit) in places.items()}
 opened = {"no bit is wrong": tour.MODEL} | opened
@@ -236,7 +237,7 @@ for _ in range(4):
 assert (signs, x) == ([1, 1, 1, -1], 2**31)  # and the value with which the encoder began
 
 # %% [markdown]
-# Anchor 29 of the demo is read in the same way. Its position are the six bytes from 24 + 6 · 29 on.
+# Anchor 29 of the demo is read in the same way. Its position takes six bytes, from 24 + 6 · 29 on.
 
 # %%
 box = np.frombuffer(demo["positions"], "<f4", 6).reshape(2, 3).astype(float)

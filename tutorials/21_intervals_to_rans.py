@@ -32,8 +32,8 @@ architecture.show("21_intervals_to_rans", "likelihood", "entropy_coder", "file")
 # a whole number of bits for each symbol wastes half a bit on average.
 #
 # The left side shows the 16 feature symbols of *anchor 29* (purple) in the trained scene of
-# `demo.p4dgs`, and the deviation that the context predicts for each (bars). The right side shows
-# the bytes of all features of the scene, coded in four ways.
+# `demo.p4dgs`, and the mean and deviation that the context predicts for each (bars). The right side
+# shows the bytes of all features of the scene, coded in four ways.
 
 # %%
 from p4dgs_ref.codec.streams import ideal_bits_gaussian
@@ -229,7 +229,7 @@ promised = predicted[::-1].cumsum()
 assert abs(reached[-1] - promised[-1]) < 0.01
 
 # %%
-figure, (shares, grid, growing) = plt.subplots(1, 3, figsize=(18, 5.5), layout="constrained")
+figure, (shares, grid, growing) = plt.subplots(1, 3, figsize=(15, 5), layout="constrained")
 tint = {"a": figures.COLORS[0], "b": figures.COLORS[4], "c": figures.COLORS[2]}
 for row, (low, width) in enumerate(narrow("acab", 4 * [P])[:-1]):
     for s, (start, p) in P.items():
@@ -290,7 +290,7 @@ figures.finish(
     growing,
     xlabel="features pushed",
     ylabel="bits",
-    title="The state grows by the bits that the prior predicted",
+    title="The state grows as predicted",
 )
 figures.label(growing, (1700, 3500), (300, 6000))
 figures.show(figure, "21_intervals_to_rans")

@@ -200,7 +200,7 @@ assert last != 2**31
 # What does the result look like? The wrong symbols are not white noise. A random state that is
 # read through the tables produces each symbol with its own probability, so the rest of the
 # picture is *a random sample from the prior*: plausible blobs in wrong places. The number of bits
-# that these symbols have under the tables is about the same as for the true symbols, so it does
+# that these symbols cost under the tables is about the same as for the true symbols, so it does
 # not reveal the error either. Only the last state does, at the very end.
 
 
@@ -226,7 +226,7 @@ def received_model(symbols):
 
 true = price(sent[victim + 1 :]) / following
 broken = price(received[victim + 1 :]) / following
-print(f"bits a symbol after the error: sent {true:.2f}, received {broken:.2f}")
+print(f"bits per symbol after the error: sent {true:.2f}, received {broken:.2f}")
 assert abs(broken / true - 1) < 0.1
 pair = [received_model(symbols) for symbols in (sent, received)]
 before, after = (m.render(tour.CAMERA, tour.T).clip(0, 1) for m in pair)
@@ -299,12 +299,11 @@ assert first_wrong == 121
 
 # %% [markdown]
 # ## How often an ulp matters
-# A derivative tells how often an ulp changes a table. A boundary
-# of a table lies at $C = 2^{16}\,\Phi(z)$ with $z = ((K - \frac12)q - \mu)/\sigma$. If $\sigma$
-# grows by the relative amount $\varepsilon$, the boundary moves by
-# $-2^{16}\,\phi(z)\,z\,\varepsilon$. The count changes if there is an integer between the old and
-# the new position. For one ulp the probability of this is at most
-# $0.242\cdot 2^{16}\cdot 2^{-23}$, one in 529.
+# A derivative tells how often an ulp changes a table. A boundary of a table lies at
+# $C = 2^{16}\,\Phi(z)$ with $z = ((K - \frac12)q - \mu)/\sigma$. If $\sigma$ grows by the relative
+# amount $\varepsilon$, the boundary moves by $-2^{16}\,\phi(z)\,z\,\varepsilon$. The count changes
+# if there is an integer between the old and the new position. For one ulp the probability of this
+# is at most $0.242\cdot 2^{16}\cdot 2^{-23}$, one in 529.
 
 
 # %%
@@ -395,10 +394,11 @@ assert abs(by_tables / by_floats - 1) < 0.001
 
 # %% [markdown]
 # ## What this idea buys
-# Integers buy that every machine decodes the same scene. Without them, one wrong digit at one of
-# 199 anchors spoils 170, as the first figure shows, and two machines that add in different orders
-# already disagree within the first fiftieth of the file. The price is next to nothing: the cell
-# above prints by how much the bits change, less than a tenth of a percent. The paper does not say
+# Integers buy that every machine decodes the same scene. Without them, two machines that add
+# in different orders already disagree within the first fiftieth of the message, and after the first
+# wrong deviation nearly nothing is right: one of 199 anchors spoils 170 in the first figure. The
+# price is next to nothing: the cell above prints by how much the bits change, less than a tenth of
+# a percent. The paper does not say
 # how its encoder and decoder agree.
 #
 # **In short**
@@ -420,7 +420,8 @@ assert abs(by_tables / by_floats - 1) < 0.001
 # **22.2** ●● Write `my_network`. A layer has `W`, `b` and `s` and computes $y = xW + b$. A hidden
 # layer then returns $\max(0, \lfloor(y + \lfloor 2^s/2\rfloor)/2^s\rfloor)$.
 #
-# **22.3** ●● Write the computation of $\sigma$ in units. With
+# **22.3** ●● Write the computation of $\log_2(\sigma/q)$ in units of $\frac1{16}$, for a step
+# $q = D\,2^{p-39}$. All logarithms that it needs are in units of $2^{-16}$. With
 # $l = \lfloor(94548\,raw + 2^{15})/2^{16}\rfloor$, where $94548$ stands for $2^{16}\log_2 e$, it
 # is $\lfloor(l - \log_2 D - (p - 39)\,2^{16} + 2^{11})/2^{12}\rfloor$, clipped to the range from
 # $-128$ to $319$. The stream `full` is the test.
@@ -442,7 +443,8 @@ def my_network(x, layers):
 def my_sigma_units(raw, log2_D, p):
     """Return sigma_units. All arguments are integers (A, n).
 
-    `raw` is in units of 2^-16 and already clipped, `log2_D` is log2(D), `p` is the exponent of Q_0.
+    `raw`, which is ln(sigma), and `log2_D` are in units of 2^-16; `raw` is already clipped. `p` is
+    the exponent of Q_0.
     """
     raise NotImplementedError
 
@@ -476,4 +478,4 @@ lessons.check_number("22.3", answer_3, stored["sigma_units"], digits=15)
 # bit for bit and in this order, so the first difference names the step that is wrong. Typical
 # mistakes of ports are products in `float32`, a division that rounds towards zero where a floor
 # is meant, a fused multiply-add in `x_a`, and a table computed with the machine's own `exp`. The
-# last cell of `20_file_byte_by_byte` runs this check from Python.
+# end of `20_file_byte_by_byte` says how to run this check from Python.
