@@ -196,7 +196,7 @@ def fit(p, adam, loss, views, steps, rng):
         adam.step(p, back())
         losses.append(parts.get("render", L))  # without the rate, if L has one
         if adam.done % (adam.total // 10) == 0:
-            bits = f", bits {parts['bits']:.0f}" if "bits" in parts else ""
+            bits = f", bits {parts['bits']:.0f}" if parts.get("bits") else ""  # from stage 4 on
             print(f"step {adam.done:4}: loss {np.mean(losses[-100:]):.4f}{bits}")
 
 
@@ -702,11 +702,11 @@ assert np.isclose(likelihood(drawn, 0, 1, 0.1)[0].mean(), np.log2(expected * np.
 # %% [markdown]
 # ## The error of a picture: Eq. (16)
 # Free Gaussians were trained with the mean squared error, which hardly sees a blurred edge. The
-# paper takes the loss of 3DGS: the mean absolute error and, with a weight of 0.2 (Q13), the
+# paper takes the loss of 3DGS: the mean absolute error and, with a weight of 0.2, the
 # structural similarity (SSIM), which compares the pattern in small windows.
 
 # %%
-LAMBDA_SSIM = 0.2
+LAMBDA_SSIM = 0.2  # as in 3DGS; the paper gives no value (Q13)
 profile = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
 profile /= profile.sum()
 WINDOW = sum(np.eye(SIZE, k=j) * profile[j + 5] for j in range(-5, 6))  # [SIZE, SIZE]
@@ -763,7 +763,7 @@ def render_loss(gaussians, shot):  # paper, Sec. 3.3: the loss of 3DGS
 # on more parts: first the anchors alone, then the noise, the motion, and the grid with the rate.
 
 # %%
-LAMBDA_RATE = 5e-4
+LAMBDA_RATE = 5e-4  # the price of a bit; the paper gives no value (Q12)
 
 
 def context(p, sign=signs):
