@@ -334,7 +334,7 @@ for ax, array, label in maps:
     shown = ax.imshow(array, cmap="PuOr", vmin=-limit, vmax=limit)
     figure.colorbar(shown, ax=ax, label=label)
 for ax in (seen, red_error, pull):
-    ax.plot(column, row, "s", ms=12, mfc="none", mec=figures.COLORS[1], mew=2.5)
+    ax.plot(column, row, "s", ms=12, mfc="none", mec="k", mew=2.5)
     figures.finish(ax, xlabel="u (pixels)", ylabel="v (pixels)", grid=False)
 lengths = [1e3 * part for part in parts.values()]
 made_of.barh(list(parts), lengths, color=figures.COLORS[:4])
