@@ -45,7 +45,7 @@ def lacking_lines(report):
     if report.says.get("gradients") is False:
         yield "the port gives no gradients: only outputs were judged"
     if absent:
-        yield f"the port lacks {', '.join(absent)}: {absent.total()} cases not asked"
+        yield f"the port lacks {', '.join(absent)}; cases not asked: {absent.total()}"
 
 
 def left_out_lines(report):
@@ -55,7 +55,7 @@ def left_out_lines(report):
         for r in report.results
         if not r.required and r.verdict in ("skipped", "missing")
     )
-    return [f"{name}: {count} cases left out, which is allowed" for name, count in left.items()]
+    return [f"{name}: cases left out, which is allowed: {count}" for name, count in left.items()]
 
 
 def not_judged_lines(report):
@@ -128,7 +128,7 @@ def _reason(result):
 def _others(results, known):
     """Yield what fails besides the first case."""
     if results:
-        yield from ("", f"{len(results)} more fail:")
+        yield from ("", f"others that fail ({len(results)}):")
     for key in dict.fromkeys(r.subject for r in results):
         rows = [r for r in results if r.subject == key]
         names = [

@@ -297,7 +297,7 @@ def test_a_port_may_say_that_it_lacks_gradients_and_subjects(port):
         "fail": True,
         "absent": False,
     }
-    assert "gradients: only outputs were judged\nthe port lacks view: 1 cases" in str(results)
+    assert "only outputs were judged\nthe port lacks view; cases not asked: 1" in str(results)
     assert {"gradients": False, "lacking": ["view"]}.items() <= report.as_json(results).items()
 
 
