@@ -8,8 +8,8 @@
     view = scene.test[0]
     image = p4.decode(data).render(view.camera, view.time)
 
-The public names stand in `__init__.pyi`, where type checkers and editors read them, too. Each is
-imported when it is first used, so that a program can call `prepare` before NumPy loads.
+The public names are listed in `__init__.pyi`, where type checkers and editors read them, too. Each
+is imported when it is first used, so that a program can call `prepare` before NumPy loads.
 """
 
 import re
@@ -23,7 +23,7 @@ __all__ = [*_HOME]
 
 
 def __getattr__(name):
-    """Return a public name, from the module that defines it; `oracle` is such a module itself."""
+    """Return a public name, from the module that defines it; `oracle` is itself a module."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if _HOME[name] == ".":

@@ -97,8 +97,8 @@ assert close(2 * sigmoid(2 * psi), 1 + np.tanh(psi))
 # each group of attributes, in the order feature, scale, offset scaling, offsets (f, s, l, O). The
 # paper's appendix sets them to 1, 0.001, 0.001 and 0.2; the preset `tiny` has 0.25, 0.01, 0.01 and
 # 0.1. On a tiny scene, the paper's finer steps of $s_a$ and $l_a$ cost bytes and gain nothing; its
-# coarser steps of the other two hardly matter (`reference.md` has the figures under choice Q6). The
-# result is `q [A, 4]`. Each column serves all numbers of its group, as in `07_noise_and_rounding`.
+# coarser steps of the other two hardly matter (choice Q6). The result is `q [A, 4]`. Each column
+# serves all numbers of its group, as in `07_noise_and_rounding`.
 
 # %%
 from p4dgs_ref.equations import mlp, rounding, step

@@ -301,8 +301,9 @@ print(f"{signs_of_hac} signs take {signs_of_hac / 8 / 2**20:.2f} MiB")
 # In the figure, "one guess for all" is a grid with a single node: each number has one mean, one
 # deviation and one step for all anchors. With the context, the anchors take 4,569 bytes instead of
 # 5,126. But the grid and wider networks take 541 bytes more, so the whole file is as large as
-# before, and the PSNR differs by less than it does between seeds: here the context buys nothing. In
-# the paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it serves some
+# before, and the PSNR differs by less than it does between seeds: here the context buys nothing. (A
+# file without grid, $\psi_p$ and $\psi_q$ would even be smaller, as the viewer says.) In the
+# paper's T-Rex (Table 4), the grid takes 0.7 to 2.0 percent of the file, because it serves some
 # hundred times as many anchors. The paper does not say how large the file would be without it.
 
 # %%

@@ -31,7 +31,7 @@ architecture.show("17_pipeline_by_hand")
 #
 # The cell makes three such mistakes in the trained scene of `demo.p4dgs`, one at a time, and
 # changes no equation. The pictures show one view, and the numbers above them are means over the ten
-# test views. The splats of *anchor 29*, which all tutorials follow, are ringed in purple.
+# test views. The splats of *anchor 29*, which leads through the tutorials, are ringed in purple.
 
 # %%
 from p4dgs_ref import evaluate, load_scene

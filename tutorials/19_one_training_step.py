@@ -30,7 +30,8 @@ architecture.show("19_one_training_step", "noise", "render_loss", "rate_loss", "
 #
 # The cell trains the scene of `demo.p4dgs` for 100 more iterations at the last learning rates: once
 # all attributes get only the gradient of their bits, and once both gradients. The numbers are means
-# over the ten test views, before rounding. *Anchor 29*, which all tutorials follow, is purple.
+# over the ten test views, before rounding. *Anchor 29*, which leads through the tutorials, is
+# purple.
 
 # %%
 from p4dgs_ref import SETTINGS, evaluate, load_scene

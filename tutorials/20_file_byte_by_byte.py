@@ -32,8 +32,8 @@ architecture.show("20_file_byte_by_byte", "rounding", "entropy_coder", "file")
 #
 # The cell makes three copies of `demo.p4dgs`, flips one bit in each of them, and makes the
 # checksums right again, as if there were none. The decoder accepts all three. The numbers are means
-# over the ten test views, and *anchor 29*, which all tutorials follow, is purple; in the last
-# picture it is above the frame.
+# over the ten test views, and *anchor 29*, which leads through the tutorials, is purple; in the
+# last picture it is above the frame.
 
 # %%
 import p4dgs_ref as p4

@@ -141,7 +141,7 @@ def checked(right, wrong, only):
 assert not node or checked("", "", "rounding hash_grid covariance compositing").ok
 
 # %% [markdown]
-# ## Backward by hand
+# ## Gradients
 # **Step 5: the gradients.** A viewer needs none, and the port has none. It says so in its first
 # line, `"gradients": false`, and lists its 30 subjects there. The checker then judges the outputs
 # of these alone, and its report names what the port lacks, so that nobody takes it for a trainer.

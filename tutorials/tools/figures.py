@@ -20,8 +20,8 @@ STYLE = {
     "axes.spines.right": False,
     "axes.prop_cycle": f"cycler(color={list(COLORS)})",
 }
-# The anchor of tutorials/demo.p4dgs that all tutorials follow. It sits on the highlight of the red
-# ball; child 0 is masked, and `child` changes its colour most when the camera walks around.
+# The anchor of tutorials/demo.p4dgs that leads through the tutorials. It sits on the highlight of
+# the red ball; child 0 is masked, and `child` changes its colour most when the camera walks around.
 THREAD = SimpleNamespace(name="anchor 29", index=29, child=2, color="#8000D0")
 
 

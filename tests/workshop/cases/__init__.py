@@ -1,6 +1,6 @@
 """The named inputs on which every equation is tested and from which its vectors are published.
 
-One module an equation, `cases/<key>.py`, with a function `cases()` that yields `Case`s.
+One module per equation, `cases/<key>.py`, with a function `cases()` that yields `Case`s.
 """
 
 from importlib import import_module

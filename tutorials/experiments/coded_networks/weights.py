@@ -28,7 +28,7 @@ said about the float16 numbers of version 1 holds for them.
 An encoder may choose t, r and c. This one changes them in turn, until nothing changes but at most
 four times each, to those that need the fewest bits, with r and c from -6 to 6.
 
-Worked numbers of networks. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is
+Worked example of networks. s = 186 is the step 26 2^-8 = 0.1015625, and the symbol -3 is
 -0.3046875. With t = 1, r = -1 and c = 2 its sigma_units are 32: a deviation of 4 symbols.
 """
 

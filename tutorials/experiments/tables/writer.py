@@ -13,7 +13,7 @@ from p4dgs_ref.lab.writer import group_rows
 def means(rows, *keys):
     """The means over scenes and seeds of the rows that agree in the keys; one row for each.
 
-    All seeds count alike. Fields that are no numbers, or that some row lacks, are left out.
+    All seeds count alike. Fields that are not numbers, or that some row lacks, are left out.
     """
     result = []
     for values, group in group_rows(rows, *keys).items():
