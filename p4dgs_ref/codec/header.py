@@ -33,8 +33,9 @@ nothing moves, psi_d does not count, whatever its widths. There are at most 2^24
 and at most 2^25 numbers in all. A decoder needs at most 64 MiB plus four times 8 bytes for each of
 these numbers, beside the file itself. This is enough to decode a file and to list what its bytes
 are spent on. Drawing holds all A k Gaussians at once: a picture of 64x64 needs up to 1 KiB for each
-of them in addition. The header has at most 2^14 bytes, because a JSON parser needs many times the
-memory of its text.
+of them in addition, and 8 bytes for each hidden unit, of the four anchor networks for every anchor
+and of psi_d for every Gaussian. The header has at most 2^14 bytes, because a JSON parser needs many
+times the memory of its text.
 
 Time is bounded by n, the number of bytes of all sections together. The header declares at most
 2^22 + 2^4 n numbers. The coding context of one anchor needs a multiplication for every weight of
