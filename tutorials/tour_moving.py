@@ -29,21 +29,26 @@ def bin_under_bell(bell, counter, place, places):
     inside = np.abs(x - place) <= 0.5
     mass = ndtr((so_far + 0.5) / SIGMA) - ndtr((so_far - 0.5) / SIGMA)
     density = np.exp(-((x / SIGMA) ** 2) / 2)
-    bell.plot(x, density, color=show.CONTEXT)
-    bell.fill_between(x[inside], density[inside], color=show.OWN)
+    bell.plot(x, density, color=show.GREY)
+    bell.fill_between(x[inside], density[inside], color=show.CONTEXT)
     bell.set(title=f"bin: {mass[-1]:.2%} of the bell", xlabel="number (steps)", yticks=())
-    counter.plot(so_far, -np.log2(mass), ".-", color=show.OWN)
-    counter.set(title=f"it costs {-np.log2(mass[-1]):.1f} bits", xlim=(-8, 8), ylim=(0, 14))
+    counter.plot(so_far, -np.log2(mass), ".-", color=show.CONTEXT)
+    counter.set(
+        title=f"it costs {-np.log2(mass[-1]):.1f} bits",
+        xlabel="number (steps)",
+        xlim=(-8, 8),
+        ylim=(0, 14),
+    )
 
 
 def noise_to_rounding(stored, error, q, share, f, u):
     """Numbers f with noise u q, of which `share` has turned into the error of rounding."""
     value = (1 - share) * (f + u * q) + share * np.rint(f / q) * q
-    stored.plot(f, value, ".", ms=4, color=show.OWN)
-    name = {0: "noise", 1: "rounded"}.get(share, "between")
-    stored.set(title=f"{name}, q = {q:.2f}", xlabel="number", ylim=(-1.4, 1.4))
+    stored.plot(f, value, ".", ms=4, color=show.STEP)
+    name = {0: "noise", 1: "rounded"}.get(share, "partly rounded")
+    stored.set(title=f"{name}, q = {q:.2f}", xlabel="number", ylabel="stored", ylim=(-1.4, 1.4))
     error.axvspan(-q / 2, q / 2, color=show.PALE)
-    error.hist(value - f, 32, (-0.4, 0.4), color=show.OWN)
+    error.hist(value - f, 32, (-0.4, 0.4), color=show.STEP)
     error.set(title="error (grey: a step)", yticks=(), ylim=(0, 250))
 
 
