@@ -314,7 +314,7 @@
       await drop(file, bytesOf(data));
       const said = $("message").textContent;
       found[file] = said;
-      check(`${file}: ${said}`, /: .*, byte \d+: .*stays\.$/.test(said) && !said.includes("\n"));
+      check(`${file}: ${said}`, /: .*, byte \d+: .*is still shown\.$/.test(said) && !said.includes("\n"));
       check(`${file} replaces the scene`, page.state.model === model && page.state.name === name);
     }
     check("the port's script is not where workers look", $("files").nextElementSibling.text);
