@@ -86,7 +86,17 @@ READING = (
     "evaluate good.p4dgs {} -o out",
     "render good.p4dgs -o out --scene {}",
 )
+
+
 # What every command says alike; tests/scenes has what else can be wrong in a scene.
+def named(cases):
+    """The cases for `parametrize`, each with its first text as its id."""
+    return [
+        pytest.param(*case.values, marks=case.marks, id=case.values[0] or "nothing")
+        for case in cases
+    ]
+
+
 SCENES = [
     (
         "no file",
@@ -140,7 +150,7 @@ SCENES = [
 ]
 
 
-@pytest.mark.parametrize("name, mistake, words", few(SCENES, 8), ids=[case[0] for case in SCENES])
+@pytest.mark.parametrize("name, mistake, words", named(few(SCENES, 8)))
 def test_mistakes_in_scenes(place, refused, name, mistake, words):
     mistake(place)
     for line in READING:
@@ -218,7 +228,7 @@ LINES = [
     ("simulate /dev/zero -o out", ("/dev/zero", "a device")),
     ("train scene -o out --points /dev/zero", ("/dev/zero", ".npy, .ply")),
     ("oracle check /dev/zero", ("/dev/zero: expected a folder",)),
-    ("grade /dev/zero", ("/dev/zero: expected a classroom",)),
+    ("grade /dev/zero", ("/dev/zero: not a folder", "classroom")),
     ("decode good.p4dgs -o text", ("text", "expected a writable folder")),
     ("evaluate good.p4dgs nowhere", ("nowhere", "packaged")),
     ("render good.p4dgs -o new --size -3", ("--size", "-3")),
@@ -256,9 +266,7 @@ LINES = [
 
 
 @pytest.mark.posix("has no devices in folders, and other words for errors")
-@pytest.mark.parametrize(
-    "line, words", few(LINES, 40), ids=[line or "nothing" for line, _ in LINES]
-)
+@pytest.mark.parametrize("line, words", named(few(LINES, 40)))
 def test_mistakes_on_the_command_line(original, refused, monkeypatch, line, words):
     monkeypatch.chdir(original)  # not a copy: nothing is written
     refused(line, words)

@@ -78,7 +78,7 @@ def test_the_format_page_has_what_a_decoder_needs_and_leaves_out_the_rest():
         "12582912",
         "least integer with max |W|",
         "The tail must have taken every word that step 2 put on the stack.",
-        "The header promises at most 2^22 + 2^4 n numbers.",
+        "The header declares at most 2^22 + 2^4 n numbers.",
         "All anchors together need at most 2^34 + 2^15 n multiplications.",
         "the largest coordinate is the float32 below it, 9.999999394896025e29",
         "Encoding a decoded model gives the same bytes if this encoder wrote the file.",
