@@ -180,7 +180,7 @@ LINES = [
     ("decode 'a\nb' -o new", ("a\\nb: No such file",)),
     ("decode good.p4dgs -o 'text/a\nb'", ("text/a\\nb: expected a writable",)),
     ("oracle check 'a\nb'", ("a\\nb: expected a folder",)),
-    ("grade 'a\nb'", ("a\\nb: expected a classroom",)),
+    ("grade 'a\nb'", ("a\\nb: not a folder", "classroom")),
     ("train scene -o new --downscale 9", ("transforms_train.json", "downscale 9", "12x8")),
     ("train scene -o new --downscale 0", ("--downscale", "'0'")),
     ("demo scene -o text/out --preset smoke --quiet", ("text/out", "expected a writable folder")),

@@ -153,7 +153,7 @@ GRADED = {
         *("offsets", RIGHT + "return x.astype(np.float32), (O_a, l_a)", None, 6, NO_FORWARD),
         "forward: nonsense in offsets/ordinary: out.x: expected float64",
     ),
-    "no pair": ("offsets", RIGHT + "return x", None, 0, NOTHING, "forward: expected a pair, "),
+    "no pair": ("offsets", RIGHT + "return x", None, 0, NOTHING, "forward: expected a pair: "),
     "a list of outputs": (
         *("view", LIST, None, None, {"forward": "0 of 6", "gradients": "3 of 3"}),
         "forward: expected a tuple of 2 outputs, delta_vc, d_vc, got 1 of type list",

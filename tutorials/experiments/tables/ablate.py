@@ -32,7 +32,7 @@ from .methods import PAPERS, columns, preset_of, save, task_of
 from .writer import means, with_error
 
 ITERATIONS = 6500
-SPATIAL = "+ spatial prediction"
+SPATIAL, PLAIN = "+ spatial prediction", "D3DGS without harmonics"
 NETWORK, WHOLE = "+ compact deformation MLP", "+ quantisation and entropy coding"
 # The paper's Table 3, on T-Rex: MB, PSNR, and what a step changes of it in dB.
 PAPER = {
@@ -76,19 +76,19 @@ COLUMNS = {
 
 
 def plan(scene, seeds, iterations, anchors=None):
-    """The Tasks of all steps and seeds, or of D3DGS and SPATIAL with a number of anchors."""
+    """The Tasks of all steps and seeds, or of SPATIAL with so many anchors beside D3DGS."""
     command = f"python -m tutorials.experiments.tables ablate {scene.name}"
     command += f" --seeds {seeds} --iterations {iterations}"
     steps = STEPS
     if anchors:
         command += f" --anchors {anchors}"
         changes = {**STEPS[SPATIAL], "anchors": anchors}
-        steps = {"D3DGS": {}, f"{SPATIAL}, {anchors} anchors": changes}
+        steps = {"D3DGS": {}, PLAIN: {"sh_degree": 0}, f"{SPATIAL}, {anchors} anchors": changes}
     at_rest = replace(scene, effects=[name for name in scene.effects if name not in MOTION])
     tasks = []
     for seed in range(seeds):
         for name, changes in steps.items():
-            method = "d3dgs" if name == "D3DGS" else PAPERS
+            method = "d3dgs" if name in ("D3DGS", PLAIN) else PAPERS
             task = task_of(scene, method, seed, iterations, command, changes)._replace(name=name)
             if "stage_ends" in changes:
                 task = task._replace(make=make_plain, load=load_plain, ending="npy")
@@ -126,7 +126,7 @@ def summaries(found):
     of_steps = {label: rows for (label,), rows in group_rows(found, "label").items()}
     names = [*PAPER]
     before = dict(zip(names[1:], names))
-    before |= {label: names[0] for label in of_steps if "anchors" in label}
+    before |= {label: names[0] for label in of_steps if label not in STEPS}
     for row in means(found, "label"):
         name = row["label"]
         row["paper"] = PAPER.get(name, "-")
