@@ -187,7 +187,7 @@ assert np.allclose(p["c"], [-RATES["c"], RATES["c"]])
 
 
 def fit(p, adam, loss, views, steps, rng):
-    """Minimise loss(p, view), which returns its value, its parts and `back`; one view a step."""
+    """Minimise loss(p, view), which returns its value, its parts and `back`; one view per step."""
     losses = []
     for i in range(steps):
         if i % len(views) == 0:

@@ -123,7 +123,7 @@ def traced(
 ):
     """Yield the parameters after every step of stage 4, its losses and its gradients.
 
-    One view and one noise a step, gradients of L_total, Adam. Adam's n-th step, g being the
+    One view and one noise per step, gradients of L_total, Adam. Adam's n-th step, g being the
     gradient: m = 0.9 m + 0.1 g, v = 0.999 v + 0.001 g^2, both 0 at first; then the parameter moves
     by -rate (m / (1 - 0.9^n)) / (sqrt(v / (1 - 0.999^n)) + e), e = 1e-15 / sqrt(1 - 0.999^n)
     (Kingma and Ba 2015). x_a does not move: its learning rate is 0, because the grid has located

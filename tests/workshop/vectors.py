@@ -229,7 +229,7 @@ def write(folder, progress=lambda text: None, again=()):
 
 
 def _json(value):
-    """JSON with one line a record: small enough to ship, open enough to read."""
+    """JSON with one line per record: small enough to ship, open enough to read."""
     text = json.dumps(value, indent=None, separators=(",", ":"))
     return (text.replace('{"id"', '\n{"id"').replace('{"key"', '\n\n{"key"') + "\n").encode()
 

@@ -31,7 +31,7 @@ def forward(
     index, a, b = cells(np.clip(u, 0, 1), nodes)
     weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b], axis=2)
     entries = np.concatenate([plane.reshape(-1, F) for plane in planes])
-    starts = np.arange(0, index.size + 1, 4)  # of the rows of a sparse matrix, one row a reading
+    starts = np.arange(0, index.size + 1, 4)  # of the rows of a sparse matrix, one row per reading
     reads = csr_matrix((weights.ravel(), index.ravel(), starts), (index.size // 4, len(entries)))
     values = (reads @ entries).reshape(len(planes) // 6, 6, N, F)
     features = np.concatenate([*values.prod(axis=1)], axis=1)
