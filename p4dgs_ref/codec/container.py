@@ -175,7 +175,8 @@ def read_table(data, size):
         total == size <= MAX_FILE_BYTES,
         "container",
         10,
-        f"total length {total}, expected the file's {size} bytes, at most {MAX_FILE_BYTES}",
+        f"total length {total}, expected the file's {size} bytes, at most {MAX_FILE_BYTES}; "
+        "is the file complete?",
     )
     end = FIXED.size + ROW.size * count
     expect(

@@ -172,7 +172,7 @@ def warning_after(trainer):
     bodies = ", larger bodies" if len(times) else ""
     return (
         f"scene {scene.name}: only {max(share, 0):.0%} of what "
-        f"{'moves' if len(times) else 'is seen'} is there, {max(shares[worst], 0):.0%} in the view "
+        f"{'moves' if len(times) else 'is seen'} is drawn, {max(shares[worst], 0):.0%} in the view "
         f"{views[worst].name} (time {views[worst].time:.3g}): in these pixels of "
         f"{'test' if scene.test else 'training'} views the model has {model_db:.2f} dB at "
         f"{v.camera.width}x{v.camera.height}, the mean of the training pictures {mean_db:.2f} dB; "

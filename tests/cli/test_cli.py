@@ -74,7 +74,7 @@ def test_demo(report):
     assert 5 < metrics["psnr_fg_db"] < metrics["psnr_db"] < 30 and 0 < metrics["ssim"] < 1
     *lines, warning = err.splitlines()
     # without a terminal about a dozen lines, not 45
-    assert 10 <= len(lines) <= 16 and "of what moves is there" in warning  # after 45 steps
+    assert 10 <= len(lines) <= 16 and "of what moves is drawn" in warning  # after 45 steps
     assert lines[0].startswith(" 1/45  ") and " dB at 64x64  " in lines[0]
     assert lines[-1].startswith("45/45  ") and lines[-1].endswith(" ms/step")
 

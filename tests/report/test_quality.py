@@ -44,7 +44,7 @@ def test_thin_rods_over_a_slab_are_lost_with_a_warning(tmp_path):
     p4.simulate(THIN / "slab_and_rods.json", tmp_path / "rods")
     scene = p4.load_scene(tmp_path / "rods")
     trainer = fit(scene, "tiny", 0, stage_ends=(100, 150, 600, 1000), decay_from=600)
-    assert "of what moves is there" in advice.warning_after(trainer)
+    assert "of what moves is drawn" in advice.warning_after(trainer)
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def test_how_much_is_there_of_what_moves(share, is_told):
         flat = -10 * np.log10(np.mean((seen - mean)[bar] ** 2))
         there = f"{1 - (1 - share) ** 2:.0%}"
         view = f"{there} in the view images[4] (time 1): in these pixels of test views"
-        assert f"only {there} of what moves is there, {view}" in told
+        assert f"only {there} of what moves is drawn, {view}" in told
         assert f"training pictures {flat:.2f} dB" in told and "larger bodies" in told
         assert "seed" in told
     without = replace(moving(), test=[])
@@ -116,7 +116,7 @@ def test_a_mover_of_which_half_is_lost_is_told_of():
     columns = (np.arange(16) % 2 == 0)[:, None]
     half.render = lambda *at: np.where(columns, whole.render(*at), none.render(*at))
     told = advice.warning_after(half)
-    assert "only 50% of what moves is there" in told, told
+    assert "only 50% of what moves is drawn" in told, told
 
 
 @pytest.mark.parametrize("at_the_end, is_told", [(0.2, True), (0.6, False)])
@@ -130,7 +130,7 @@ def test_a_limb_that_is_lost_in_some_views_is_told_of_by_the_worst(at_the_end, i
     whole.render = lambda c, *at: (poor if c is last else Share(whole.scene, 1)).render(c, *at)
     told = advice.warning_after(whole)
     assert bool(told) == is_told
-    assert "is there, 36% in the view 9 (time 1)" in told or not is_told
+    assert "is drawn, 36% in the view 9 (time 1)" in told or not is_told
 
 
 def noise(scene):
@@ -197,7 +197,7 @@ def test_a_mover_over_something_static_is_lost_though_the_picture_is_good():
     for view in (*wall.train, *wall.test):
         view.image[:, :4] = 0.5
     seen = Share(wall, 0)
-    assert "only 0% of what moves is there" in advice.warning_after(seen)
+    assert "only 0% of what moves is drawn" in advice.warning_after(seen)
 
 
 def at_one_time(scene):
@@ -214,7 +214,7 @@ def at_one_time(scene):
 def test_a_still_scene_is_compared_with_the_mean_picture_in_all_pixels(still):
     """Its model at rest is the picture itself, which would leave the wrong pixels alone."""
     told = advice.warning_after(Share(still, 0.3))
-    assert "only 51% of what is seen is there" in told and "moves" not in told
+    assert "only 51% of what is seen is drawn" in told and "moves" not in told
     assert "(extent) or points (--points)" in told and "bodies" not in told
     assert not advice.warning_after(Share(still, 0.5))
 
@@ -240,7 +240,7 @@ WARNINGS = [
     "training views",
     "1 of 5 pictures show hardly more than one colour",
     "8 lost by merging",
-    "of what moves is there",
+    "of what moves is drawn",
 ]
 
 
