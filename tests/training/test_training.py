@@ -268,7 +268,7 @@ def test_a_picture_of_too_many_pairs_is_trained_and_judged_in_halves(scene, monk
         gradients.append(trainer.gradients_of(scene.train[0])[2].vector)
     np.testing.assert_allclose(*gradients, rtol=1e-3, atol=1e-6 * np.abs(gradients[0]).max())
     trainer.step()
-    assert "is there" in advice.warning_after(trainer)
+    assert "is drawn" in advice.warning_after(trainer)
 
 
 def test_positions_stand_on_the_16_bit_lattice_from_stage_4_on(scene):
