@@ -21,8 +21,8 @@
 #     positions -> grid -> steps and probabilities -> bits -> L_rate        Eqs. (7) to (14), (17)
 #     L_total = L_render + lambda_rate L_rate                               Eq. (15)
 #
-# `python tutorials/00_whole_paper.py` takes 20 to 45 seconds of an idle core and puts its pictures
-# on one page; with `--check` it compares gradients with finite differences instead.
+# `python tutorials/00_whole_paper.py` takes 20 to 45 seconds on an idle machine and puts its
+# pictures on one page; with `--check` it compares gradients with finite differences instead.
 #
 # **How to read it.** Each equation with a gradient is a function that returns its result and its
 # own backward, `back`, which takes the gradients of the results and returns those of the trained
@@ -1074,7 +1074,7 @@ if SHOW:
         rows = [canvas.draw() or canvas.buffer_rgba() for canvas in canvases]
         plt.imsave(folder / "00_pictures.png", np.vstack(rows))
         plt.imsave(folder / "00_whole_paper.png", np.vstack(rows[-4:]))
-    print(f"all pictures: {folder / '00_pictures.png'}; {time.process_time():.1f} s of one core")
+    print(f"all pictures: {folder / '00_pictures.png'}; CPU time {time.process_time():.1f} s")
 
 
 # %% [markdown]
