@@ -54,10 +54,14 @@ TUTORIALS = [
 ROUNDING_TOLERANCE = 1e-6  # of a number: a smaller error comes from rounding, not from the formula
 NEAR_TOLERANCE = 0.01  # of a number: an answer with a smaller error is nearly right
 # Factors between a wrong answer and the right one that a message names, because they do not give
-# the answer away: among them those of bits, bytes and nats, degrees, per cent and thousandths.
-TELLING_FACTORS = np.array(
-    [0, 0.5, 1, 2, 8, 1 / 8, 1 / np.log(2), np.log(2), 180 / np.pi, np.pi / 180]
-    + [100, 1 / 100, 1000, 1 / 1000]
+# the answer away.
+TELLING_FACTORS = (
+    *(0, 0.5, 1, 2),
+    *(8, 1 / 8),  # bits and bytes
+    *(1 / np.log(2), np.log(2)),  # bits and nats
+    *(180 / np.pi, np.pi / 180),  # degrees and radians
+    *(100, 1 / 100),  # per cent and shares
+    *(1000, 1 / 1000),  # thousandths
 )
 RESULTS = {}  # exercise -> whether it is solved, for tests that run a tutorial or its solutions
 HINTS_GIVEN = {}  # exercise -> how many hints were asked for

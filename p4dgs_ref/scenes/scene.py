@@ -118,7 +118,7 @@ class Scene:
     def center(self):
         """Return the point [3] nearest to the axes of the training cameras, by least squares.
 
-        If the axes are nearly parallel, the point's place along them is the one nearest the origin.
+        Of several such points, as for nearly parallel axes, it is the one nearest to the origin.
         """
         cameras = [view.camera for view in self.train]
         across = [np.eye(3) - np.outer(c.R[2], c.R[2]) for c in cameras]  # an axis is R[2]

@@ -197,7 +197,7 @@ def columns_of(mean2d, conic, alpha):
 
 
 def at_pairs(splats, lists, side, piece=slice(None)):
-    """Return `columns_of` for every pair's splat, with x, y replaced by its offset to the tile."""
+    """Return `columns_of` for every pair, x and y counted from the splat to the tile's middle."""
     columns, tile = splats.take(lists.splat[piece], axis=1), lists.tile[piece]
     places = np.stack([tile % lists.columns, tile // lists.columns])
     columns[:2] = places * side + (side - 1) / 2 - columns[:2]

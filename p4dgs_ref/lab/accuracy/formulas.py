@@ -23,7 +23,7 @@ SMALLEST_BITS = 1e-6  # errors of fewer bits are relative to this
 
 
 def as_printed(f_noisy, mu, sigma, q):
-    """Return Eq. (11) as printed, in the precision of the inputs, with no work to spare."""
+    """Return Eq. (11) as printed, in the precision of the inputs, with no more work than needed."""
     per_sigma = 1 / sigma
     middle, half = (f_noisy - mu) * per_sigma, 0.5 * q * per_sigma
     low, high = middle - half, middle + half
