@@ -88,7 +88,6 @@ READING = (
 )
 
 
-# What every command says alike; tests/scenes has what else can be wrong in a scene.
 def named(cases):
     """The cases for `parametrize`, each with its first text as its id."""
     return [
@@ -97,6 +96,7 @@ def named(cases):
     ]
 
 
+# What every command says alike; tests/scenes has what else can be wrong in a scene.
 SCENES = [
     (
         "no file",

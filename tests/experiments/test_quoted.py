@@ -88,10 +88,24 @@ def test_tables_of_lengths_and_effects_are_those_of_the_records():
     assert not missing, "the page of experiments lacks these rows:\n" + "\n".join(missing)
 
 
+def steps_of_bouncing():
+    """The means of each step of Table 3 on `bouncing`, by its label."""
+    rows = [row for row in read_csv(RECORDS / "ablate.csv", TEXTS) if row["scene"] == "bouncing"]
+    return {row["label"]: row for row in means(rows, "label")}
+
+
+def test_the_tour_says_what_motion_is_worth():
+    whole, still = (steps_of_bouncing()[label] for label in (ablate.WHOLE, "no deformation"))
+    size = f"{whole['bytes'] - still['bytes']:,.0f} bytes"
+    words = f"motion: {whole['psnr_db']:.1f} dB instead of {still['psnr_db']:.1f}, for {size}"
+    drawing = (TOUR.parent / "tools" / "show.py").read_text(encoding="utf-8")
+    assert words in drawing, f"picture 4 of the tour lacks: {words}"
+    assert size in TOUR.read_text(encoding="utf-8"), f"the tour lacks: {size}"
+
+
 def test_the_first_page_shows_table_3_beside_the_papers():
     page = (PAGE.parents[2] / "README.md").read_text(encoding="utf-8")
-    rows = [row for row in read_csv(RECORDS / "ablate.csv", TEXTS) if row["scene"] == "bouncing"]
-    ours = {row["label"]: row for row in means(rows, "label")}
+    ours = steps_of_bouncing()
     theirs = {label: papers.split() for label, papers in ablate.PAPER.items()}
     shown = {label: f"{float(p[0]):.3g} MB | {p[1]} dB" for label, p in theirs.items()}
     shown[f"{ablate.SPATIAL}, 400 anchors"] = "- | -"

@@ -139,7 +139,7 @@ def make_row(task, folder):
     model = task.load(data)
     metrics, _, _ = evaluate(model, task.scene)
     choice, _, _ = evaluate(model, replace(task.scene, test=held_back(task.scene)))
-    del metrics["render_fps"]
+    del metrics["render_fps"], metrics["size"]
     return {
         "method": task.method,
         **dict(zip(KEY, task.key)),
