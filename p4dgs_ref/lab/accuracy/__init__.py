@@ -143,7 +143,7 @@ def to_text(rows):
                 compared = "-" if row is group[0] else comparison(row, group)
             cells.append([question, row["choice"], duration(*times_of(row)[:3]), compared, lost])
     end = (
-        "Times are processor times: the median and, in brackets, both quartiles. Random bins, drawn "
-        "from the whole domain of Eq. (11), are wrong if their bits are off by more than a tenth."
+        "Times are processor times: the median and, in brackets, both quartiles. Random bins, from "
+        "the whole domain of Eq. (11), are wrong if their bits are off by more than a tenth."
     )
     return "\n".join([*align(cells), "", end, *filter(None, [disturbance_note(rows)])])
