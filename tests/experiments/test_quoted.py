@@ -96,7 +96,7 @@ def steps_of_bouncing():
 
 def test_the_tour_says_what_motion_is_worth():
     whole, still = (steps_of_bouncing()[label] for label in (ablate.WHOLE, "no deformation"))
-    size = f"{whole['bytes'] - still['bytes']:,.0f} bytes"
+    size = f"{round(whole['bytes']) - round(still['bytes']):,} bytes"  # of the printed numbers
     words = f"motion: {whole['psnr_db']:.1f} dB instead of {still['psnr_db']:.1f}, for {size}"
     drawing = (TOUR.parent / "tools" / "show.py").read_text(encoding="utf-8")
     assert words in drawing, f"picture 4 of the tour lacks: {words}"
